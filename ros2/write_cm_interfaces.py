@@ -28,10 +28,20 @@ def module() -> str:
     for kind in ("msg", "srv", "action"):
         for path in sorted((HERE / "cm_interfaces" / kind).iterdir()):
             rows.append(f'        "cm_interfaces/{kind}/{path.stem}": (\n')
-            lines = fields(path.read_text("utf-8"))
-            rows += [f'            "{line}{chr(92)}n"\n' for line in lines[:-1]] + [f'            "{lines[-1]}"\n']
+            rows += [f'            "{line}"\n' for line in packed(fields(path.read_text("utf-8")))]
             rows.append("        ),\n")
     return HEAD + "".join(rows) + "    }\n)\n"
+
+
+def packed(lines: list[str]) -> list[str]:
+    """As many fields on a line as fit, each but the last with a line's end, escaped."""
+    rows = [""]
+    for line in lines:
+        if len(rows[-1]) + len(line) > 100:
+            rows.append("")
+        rows[-1] += rf"{line}\n"
+    rows[-1] = rows[-1].removesuffix(r"\n")
+    return rows
 
 
 def fields(text: str) -> list[str]:

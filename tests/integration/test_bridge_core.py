@@ -20,9 +20,10 @@ from cm.client.errors import RequestFailed
 from cm.errors import CmError
 from cm.networks.bridge.commands import WRITES, Commands
 from cm.networks.bridge.follower import Follower
-from cm.networks.bridge.records import Caller, ConfigRecord, FrameRecord, InterruptRecord, RegistersRecord, StatusRecord
+from cm.networks.bridge.records import Caller, ConfigRecord, FrameRecord
 from cm.networks.bridge.streams import FrameReader
 from cm.simulation.software import Board as SimBoard
+from cm.wire.messages.status import Irq, RegValues, Status
 
 US = Caller()
 PATIENCE = 60.0
@@ -37,17 +38,17 @@ class Told:
     def link(self, board: cm.Board | None, problem: str) -> None:
         self.events.put(("link", problem if board is None else ""))
 
-    def status(self, record: StatusRecord) -> None:
-        self.events.put(("status", record))
+    def status(self, status: Status, stamp_ns: int) -> None:
+        self.events.put(("status", status))
 
     def config(self, record: ConfigRecord) -> None:
         self.events.put(("config", record))
 
-    def registers(self, record: RegistersRecord) -> None:
-        self.events.put(("registers", record))
+    def registers(self, values: RegValues, stamp_ns: int) -> None:
+        self.events.put(("registers", values))
 
-    def interrupt(self, record: InterruptRecord) -> None:
-        self.events.put(("interrupt", record))
+    def interrupt(self, irq: Irq, stamp_ns: int) -> None:
+        self.events.put(("interrupt", (irq, stamp_ns)))
 
     def until(self, kind: str, fits: Any = lambda _: True) -> Any:
         """The first event of that kind for which `fits` is true; earlier ones are dropped."""
@@ -90,7 +91,7 @@ def test_a_follower_reports_the_present_state_and_then_changes(manager: Manager,
         assert "palette" in [register.name for register in there.registers]
         board.registers["focus"] = 3
         written = told.until("registers")
-        assert [(value.name, value.value) for value in written.registers.values] == [("focus", 3)]
+        assert [(value.name, value.value) for value in written.values] == [("focus", 3)]
 
 
 def test_an_interrupt_is_reported_with_wall_time(manager: Manager, board: cm.Board) -> None:
@@ -98,20 +99,20 @@ def test_an_interrupt_is_reported_with_wall_time(manager: Manager, board: cm.Boa
     with following(manager) as told, board.stream("camera", timeout=30) as frames:
         told.until("config")
         frames.read()
-        interrupt = told.until("interrupt")
-    assert interrupt.irq.name == "frame_done"
-    assert before - 10**9 < interrupt.stamp_ns < time.time_ns() + 10**9
+        irq, stamp_ns = told.until("interrupt")
+    assert irq.name == "frame_done"
+    assert before - 10**9 < stamp_ns < time.time_ns() + 10**9
 
 
 def test_a_manager_that_is_killed_is_reported_and_so_is_its_return(own: tuple[Manager, SimBoard]) -> None:
     manager, _ = own
     with following(manager, patience=2.0) as told:
-        before = told.until("status").board
+        before = told.until("status")
         manager.kill()
         assert told.until("link") != ""
         manager.start()
         assert told.until("link", lambda problem: not problem) == ""
-        assert told.until("status").board.started_ns > before.started_ns
+        assert told.until("status").started_ns > before.started_ns
 
 
 def test_frames_come_with_wall_time_encoding_and_coordinates_while_they_are_wanted(

@@ -14,15 +14,7 @@ from typing import Any, Protocol
 from cm.client.board import Board
 from cm.client.core import calls
 from cm.errors import CmError
-from cm.networks.bridge.records import (
-    ConfigRecord,
-    Identity,
-    InterruptRecord,
-    RegistersRecord,
-    StatusRecord,
-    config_record,
-    identity,
-)
+from cm.networks.bridge.records import ConfigRecord, config_record
 from cm.wire import topics
 from cm.wire.encode import decode_event
 from cm.wire.messages.status import ConfigInfo, Irq, RegValues, Status
@@ -32,21 +24,24 @@ _LOOK = 1.0  # seconds between two checks whether the manager is there, and betw
 
 
 class Sink(Protocol):
-    """What a bridge does with what happens: called in the follower's thread, one call at a time."""
+    """What a bridge does with what happens: called in the follower's thread, one call at a time.
+
+    Stamps are wall time by the board's clock, ns: when it happened, or else when the bridge learned of it.
+    """
 
     def link(self, board: Board | None, problem: str) -> None:
         """The manager is there (a connection that may be used until the next call), or not, and why."""
 
-    def status(self, record: StatusRecord) -> None:
+    def status(self, status: Status, stamp_ns: int) -> None:
         """A status: the first after each connection, then each that is published."""
 
     def config(self, record: ConfigRecord) -> None:
         """Another configuration or mode runs, or its settings have changed; called after the status that says so."""
 
-    def registers(self, record: RegistersRecord) -> None:
-        """Registers were written."""
+    def registers(self, values: RegValues, stamp_ns: int) -> None:
+        """Registers were written, by any client: their new values."""
 
-    def interrupt(self, record: InterruptRecord) -> None:
+    def interrupt(self, irq: Irq, stamp_ns: int) -> None:
         """An interrupt came."""
 
 
@@ -61,7 +56,6 @@ class Follower:
         self._stopped = threading.Event()
         self._wake, self._ring = os.pipe()
         self._board: Board | None = None
-        self._identity = Identity("")
         self._offset = 0
         self._place: Any = None
 
@@ -98,7 +92,7 @@ class Follower:
             readable.register(descriptor, select.POLLIN | select.POLLHUP)
         try:
             self._place = None
-            self._know(board.status)
+            self._offset = board.status.realtime_offset_ns
             self._sink.link(board, "")
             look = time.monotonic() + _LOOK
             while not self._stopped.is_set():
@@ -107,27 +101,23 @@ class Follower:
                     self._take(board, decode_event(frames))
                 if time.monotonic() >= look:
                     # A subscription would wait for ever, while a request fails if the manager has gone.
-                    self._know(board.ask(calls.status(), self._patience))
+                    self._offset = board.ask(calls.status(), self._patience).realtime_offset_ns
                     look = time.monotonic() + _LOOK
         finally:
             with suppress(CmError):
                 subscription.close()
 
-    def _know(self, status: Status) -> None:
-        self._identity, self._offset = identity(status), status.realtime_offset_ns
-
     def _take(self, board: Board, event: object) -> None:
         if isinstance(event, Status):
             self._status(board, event)
         elif isinstance(event, RegValues):
-            self._sink.registers(RegistersRecord(self._identity, time.time_ns(), event))
+            self._sink.registers(event, time.time_ns())
         elif isinstance(event, Irq):
-            self._sink.interrupt(InterruptRecord(self._identity, event.timestamp_ns + self._offset, event))
+            self._sink.interrupt(event, event.timestamp_ns + self._offset)
 
     def _status(self, board: Board, status: Status) -> None:
-        self._know(status)
-        stamp = time.time_ns()
-        self._sink.status(StatusRecord(self._identity, stamp, status))
+        self._offset, stamp = status.realtime_offset_ns, time.time_ns()
+        self._sink.status(status, stamp)
         place = _place(status)
         if place != self._place and not status.fpga_busy:  # during a change the two may be of different modes
             self._place = place

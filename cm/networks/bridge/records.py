@@ -14,26 +14,7 @@ from cm.errors import CmError
 from cm.schema import loads
 from cm.schema.model import Stream
 from cm.schema.pictures import CameraInfo, implied_encoding, misfit
-from cm.wire.messages.status import (
-    ConfigInfo,
-    FrameInfo,
-    InterruptInfo,
-    Irq,
-    ModeInfo,
-    RegisterInfo,
-    RegValues,
-    Status,
-    StreamStatus,
-)
-
-
-@dataclass(frozen=True, slots=True)
-class Identity:
-    """Which board it is, and which run of its manager: `started_ns` changes with each restart."""
-
-    name: str
-    version: str = ""
-    started_ns: int = 0
+from cm.wire.messages.status import ConfigInfo, FrameInfo, RegisterInfo, Status, StreamStatus
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,15 +23,6 @@ class Caller:
 
     guest: str = ""
     lease: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class StatusRecord:
-    """A status, whole."""
-
-    board: Identity
-    stamp_ns: int
-    status: Status
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,23 +36,15 @@ class StreamFormat:
     encoding: str
     frame_id: str
     camera_info: CameraInfo | None = None
-    rate: float = 0.0  # frames per second that the source gives; 0: not known
 
 
 @dataclass(frozen=True, slots=True)
 class ConfigRecord:
     """The configuration and mode that run, and what can be named in them; empty while nothing is loaded."""
 
-    board: Identity
     stamp_ns: int
     config: ConfigInfo
-    configs: tuple[str, ...]  # that can be loaded
     streams: tuple[StreamFormat, ...] = ()
-
-    @property
-    def modes(self) -> tuple[ModeInfo, ...]:
-        """All modes of the configuration."""
-        return self.config.modes
 
     @property
     def registers(self) -> tuple[RegisterInfo, ...]:
@@ -88,32 +52,9 @@ class ConfigRecord:
         mode = self.config.mode
         return tuple(r for r in self.config.registers if not r.modes or mode in r.modes)
 
-    @property
-    def interrupts(self) -> tuple[InterruptInfo, ...]:
-        """The interrupts of the configuration."""
-        return self.config.interrupts
-
     def stream(self, name: str) -> StreamFormat | None:
         """The stream of that name, if the mode has one."""
         return next((stream for stream in self.streams if stream.name == name), None)
-
-
-@dataclass(frozen=True, slots=True)
-class RegistersRecord:
-    """Registers that any client wrote, with their new values; the stamp is when the bridge learned of it."""
-
-    board: Identity
-    stamp_ns: int
-    registers: RegValues
-
-
-@dataclass(frozen=True, slots=True)
-class InterruptRecord:
-    """An interrupt that came."""
-
-    board: Identity
-    stamp_ns: int
-    irq: Irq
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +64,6 @@ class FrameRecord:
     `height`, `width` and `step` (bytes from row to row) are 0 if `encoding` is empty.
     """
 
-    board: str
     stream: str
     stamp_ns: int
     sequence: int
@@ -133,8 +73,6 @@ class FrameRecord:
     width: int
     step: int
     data: npt.NDArray[Any]
-    mode: str = ""
-    generation: int = 0
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -147,16 +85,11 @@ class FrameRecord:
         return str(np.dtype(self.data.dtype).name)
 
 
-def identity(status: Status) -> Identity:
-    """Which board a status is of."""
-    return Identity(status.board, status.version, status.started_ns)
-
-
 def config_record(status: Status, config: ConfigInfo, stamp_ns: int) -> ConfigRecord:
     """What runs, from the status and the description of the loaded configuration (empty: nothing is loaded)."""
     said = _said(status, config)
     streams = tuple(stream_format(stream, said.get(stream.name)) for stream in status.streams)
-    return ConfigRecord(identity(status), stamp_ns, config, status.configs, streams)
+    return ConfigRecord(stamp_ns, config, streams)
 
 
 def _said(status: Status, config: ConfigInfo) -> Mapping[str, Stream]:
@@ -187,7 +120,6 @@ def stream_format(now: StreamStatus, said: Stream | None) -> StreamFormat:
         encoding=encoding_of(shape, now.dtype, named or (said.encoding if said is not None else None)),
         frame_id=frame_id,
         camera_info=said.camera_info if said is not None else None,
-        rate=(said.rate or 0.0) if said is not None else 0.0,
     )
 
 
@@ -198,15 +130,12 @@ def encoding_of(shape: tuple[int, ...], dtype: str, said: str | None) -> str:
     return implied_encoding(shape, dtype)
 
 
-def frame_record(
-    board: str, stream: StreamFormat, array: npt.NDArray[Any], info: FrameInfo, offset: int
-) -> FrameRecord:
+def frame_record(stream: StreamFormat, array: npt.NDArray[Any], info: FrameInfo, offset: int) -> FrameRecord:
     """A frame with what is known of it. `offset`: wall time less the board's CLOCK_MONOTONIC, nanoseconds."""
     plain = array.view(np.ndarray)
     encoding = encoding_of(info.shape, info.dtype, stream.encoding)
     rows, columns = info.shape[:2] if encoding else (0, 0)
     return FrameRecord(
-        board=board,
         stream=info.stream,
         stamp_ns=info.timestamp_ns + offset,
         sequence=info.sequence,
@@ -216,6 +145,4 @@ def frame_record(
         width=columns,
         step=int(plain.nbytes) // rows if encoding else 0,
         data=plain,
-        mode=info.mode,
-        generation=info.generation,
     )

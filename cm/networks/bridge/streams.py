@@ -20,33 +20,20 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger("cm.bridge")
 _WAIT = 0.25  # seconds between two checks whether a reader is to end
+_DEPTH = 3  # slots of a reader, of which it has one, and the newest frame waits in another
 _REREAD = 1.0  # seconds between two tries to read a stream that fails
 
 
 class FrameReader:
     """Reads a stream while it is started. `take` gets each frame in the reader's thread, and must not keep its memory.
 
-    Of the frames that come while `take` works, only the newest is kept, unless `newest` is False: then up to `depth`
-    frames wait, and further ones are lost.
+    Of the frames that come while `take` works, only the newest is kept.
     """
 
-    def __init__(
-        self,
-        board: Board,
-        stream: StreamFormat,
-        take: Callable[[FrameRecord], None],
-        *,
-        newest: bool = True,
-        depth: int = 0,
-    ) -> None:
-        self._board = board
-        self._format = stream
-        self._take = take
-        self._newest = newest
-        self._depth = depth
+    def __init__(self, board: Board, stream: StreamFormat, take: Callable[[FrameRecord], None]) -> None:
+        self._board, self._format, self._take = board, stream, take
         self._ending = threading.Event()
         self._thread: threading.Thread | None = None
-        self.problem = ""  # why nothing comes, if that is known
 
     def start(self) -> None:
         """Begin; does nothing if it has begun already."""
@@ -69,20 +56,17 @@ class FrameReader:
             except Exception as error:  # noqa: BLE001 (the manager goes away, the mode has no such stream, `take` fails)
                 if not isinstance(error, (CmError, OSError)):
                     _LOG.exception("frames of %s: it is tried again", self._format.name)
-                self.problem = str(error)
                 self._ending.wait(_REREAD)
 
     def _read(self) -> None:
-        status = self._board.status
-        name, offset = status.board, status.realtime_offset_ns
-        with self._board.stream(self._format.name, depth=self._depth, newest=self._newest) as stream:
+        offset = self._board.status.realtime_offset_ns
+        with self._board.stream(self._format.name, depth=_DEPTH, newest=True) as stream:
             while not self._ending.is_set():
                 try:
                     frame = stream.read(_WAIT)
                 except Timeout:
                     continue
-                self.problem = ""
-                self._take(frame_record(name, self._format, frame, frame.info, offset))
+                self._take(frame_record(self._format, frame, frame.info, offset))
                 frame.release()
 
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 
 import asyncio
 import functools
-import os
 import threading
 import weakref
-from collections.abc import Callable, Coroutine, Iterable, Iterator
+from collections.abc import Callable, Coroutine, Iterator
 from contextlib import contextmanager
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, TypeVar
@@ -30,18 +29,6 @@ def _blocking(
 
     functools.update_wrapper(waited, method)
     return waited
-
-
-@functools.wraps(aio.connect)
-def connect(
-    router: str | Iterable[str] = (),
-    *,
-    config: str | os.PathLike[str] | None = None,
-    caller: str = "",
-    timeout: float = 10.0,
-    store: str = "",
-) -> Fleet:
-    return Fleet(aio.connect(router, config=config, caller=caller, timeout=timeout, store=store))
 
 
 class Fleet:
@@ -120,3 +107,14 @@ def _ended(loop: asyncio.AbstractEventLoop, thread: threading.Thread) -> None:
     loop.call_soon_threadsafe(loop.stop)
     thread.join()
     loop.close()
+
+
+def _connecting(connect: Callable[_P, aio.Fleet]) -> Callable[_P, Fleet]:
+    @functools.wraps(connect)
+    def connected(*args: _P.args, **kwargs: _P.kwargs) -> Fleet:
+        return Fleet(connect(*args, **kwargs))
+
+    return connected
+
+
+connect = _connecting(aio.connect)

@@ -6,7 +6,6 @@ from __future__ import annotations
 import hashlib
 import os
 import time
-from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,7 +18,7 @@ from cm.wire.messages.fleet import FetchBundle
 
 PART = 1 << 20  # bytes that have a hash of their own
 _LEAST, _MOST = 1 << 11, 1 << 18  # bytes of a piece, of which a part is made
-_WORTH, _WINDOW = 0.2, 1  # seconds that a piece takes, and how many are under way
+_WORTH = 0.2  # seconds that a piece takes; one is under way at a time
 _TIMEOUT = 20.0  # seconds for a piece
 PATIENCE = 10.0  # seconds until all routers know a sender
 _BETWEEN_TRIES = 0.1  # seconds
@@ -131,24 +130,17 @@ def _append(
     session: Any, bundle: FetchBundle, part: str, file: BinaryIO, begin: int, last: int, pace: Pace,
     busy: Callable[[], bool],
 ) -> None:  # fmt: skip
-    """The pieces of a part, of which `_WINDOW` are asked for at a time, until one does not come."""
-    at, came, asked = file.tell(), time.monotonic(), deque[tuple[int, float, Any]]()
+    """The pieces of a part, one after the other, until one does not come."""
     last_in_line = zenoh_module().Priority.BACKGROUND  # the fleet's own words go first; answers have it, too
-    while asked or at < last:
-        while at < last and len(asked) < _WINDOW and not busy():
-            length = min(pace.length, last - at)
-            where = f"{part_key(bundle.sha256, part)}?from={at - begin};length={length}"
-            asked.append((length, time.monotonic(), session.get(where, timeout=_TIMEOUT, priority=last_in_line)))
-            at += length
-        if not asked:
+    while (at := file.tell()) < last:
+        while busy():
             time.sleep(_BETWEEN_TRIES)
-            came = time.monotonic()
-            continue
-        length, begun, replies = asked.popleft()
+        length, begun = min(pace.length, last - at), time.monotonic()
+        where = f"{part_key(bundle.sha256, part)}?from={at - begin};length={length}"
+        replies = session.get(where, timeout=_TIMEOUT, priority=last_in_line)
         data = next((bytes(reply.ok.payload) for reply in replies if reply.ok is not None), b"")
         if len(data) != length:
             return
         file.write(data)
         file.flush()
-        begun, came = max(begun, came), time.monotonic()
-        pace.took(length, came - begun)
+        pace.took(length, time.monotonic() - begun)

@@ -361,7 +361,7 @@ class Coordinator:
         return Decision.REVERT
 
     async def _reconcile(self) -> None:
-        """Have all boards that can be asked look at what is wanted of them now; again those that did not know it yet."""
+        """Have all that are there look at what is wanted of them now; again those that did not know it yet."""
         answers = await self._leg("reconcile", self._there_now, FleetStep(self.change))
         early = [n for n, answer in answers.items() if isinstance(answer, FleetState) and answer.change == self.change]
         if early and self.course.decision is Decision.KEEP:

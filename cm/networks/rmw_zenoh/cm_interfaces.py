@@ -8,13 +8,8 @@ from types import MappingProxyType
 OWN = MappingProxyType(
     {
         "cm_interfaces/msg/Configuration": (
-            "std_msgs/Header header\n"
-            "string name\n"
-            "string mode\n"
-            "Mode[] modes\n"
-            "string[] interrupts\n"
-            "string[] readable_streams\n"
-            "string[] writable_streams"
+            "std_msgs/Header header\nstring name\nstring mode\nMode[] modes\nstring[] interrupts\n"
+            "string[] readable_streams\nstring[] writable_streams"
         ),
         "cm_interfaces/msg/Data": (
             "std_msgs/Header header\nstring stream\nuint64 sequence\nuint32[] shape\nstring dtype\nuint8[] data"
@@ -30,46 +25,18 @@ OWN = MappingProxyType(
         "cm_interfaces/msg/RegisterField": ("string name\nuint64 value"),
         "cm_interfaces/msg/RegisterWrite": ("string name\nuint64 value\nbool use_mask\nuint64 mask\nstring value_name"),
         "cm_interfaces/msg/Status": (
-            "std_msgs/Header header\n"
-            "string board\n"
-            "string config_name\n"
-            "string mode\n"
-            "bool fpga_busy\n"
-            "string pr_mode\n"
-            "uint64 sequence\n"
-            "string target_config\n"
-            "string target_mode\n"
-            "string step\n"
-            "string subject\n"
-            "float32 fraction\n"
-            "uint64 last_change\n"
-            "float64 last_change_seconds\n"
-            "string error_code\n"
-            "string error_message\n"
-            "Region[] regions\n"
-            "string[] configs"
+            "std_msgs/Header header\nstring board\nstring config_name\nstring mode\nbool fpga_busy\n"
+            "string pr_mode\nuint64 sequence\nstring target_config\nstring target_mode\nstring step\n"
+            "string subject\nfloat32 fraction\nuint64 last_change\nfloat64 last_change_seconds\nstring error_code\n"
+            "string error_message\nRegion[] regions\nstring[] configs"
         ),
         "cm_interfaces/srv/LoadConfig": (
-            "string config_name\n"
-            "string mode\n"
-            "bool force\n"
-            "string lease\n"
-            "---\n"
-            "bool success\n"
-            "string code\n"
-            "string message\n"
-            "float64 seconds"
+            "string config_name\nstring mode\nbool force\nstring lease\n---\nbool success\nstring code\n"
+            "string message\nfloat64 seconds"
         ),
         "cm_interfaces/srv/Plan": (
-            "string config_name\n"
-            "string mode\n"
-            "---\n"
-            "bool success\n"
-            "string code\n"
-            "string message\n"
-            "PlanStep[] steps\n"
-            "uint64 bytes\n"
-            "float64 seconds"
+            "string config_name\nstring mode\n---\nbool success\nstring code\nstring message\nPlanStep[] steps\n"
+            "uint64 bytes\nfloat64 seconds"
         ),
         "cm_interfaces/srv/ReadRegisters": (
             "string[] names\n---\nbool success\nstring code\nstring message\nRegisterBank bank"
@@ -81,21 +48,9 @@ OWN = MappingProxyType(
             "RegisterWrite[] writes\nstring lease\n---\nbool success\nstring code\nstring message\nRegisterBank bank"
         ),
         "cm_interfaces/action/ChangeMode": (
-            "string config_name\n"
-            "string mode\n"
-            "bool force\n"
-            "string lease\n"
-            "---\n"
-            "bool success\n"
-            "string code\n"
-            "string message\n"
-            "float64 seconds\n"
-            "---\n"
-            "string step\n"
-            "string subject\n"
-            "uint64 bytes_done\n"
-            "uint64 bytes_total\n"
-            "float32 fraction"
+            "string config_name\nstring mode\nbool force\nstring lease\n---\nbool success\nstring code\n"
+            "string message\nfloat64 seconds\n---\nstring step\nstring subject\nuint64 bytes_done\n"
+            "uint64 bytes_total\nfloat32 fraction"
         ),
     }
 )

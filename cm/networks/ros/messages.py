@@ -3,20 +3,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
 
-from cm.networks.bridge.records import (
-    ConfigRecord,
-    FrameRecord,
-    Identity,
-    InterruptRecord,
-    RegistersRecord,
-    StatusRecord,
-    StreamFormat,
-)
+from cm.networks.bridge.records import ConfigRecord, FrameRecord, StreamFormat
 from cm.networks.ros.transport import Values
-from cm.wire.messages.status import PlanInfo, RegionHealth, RegValues, Status, StreamStatus
+from cm.wire.messages.status import Irq, PlanInfo, RegValues, Status
 from cm.wire.records import Gap
 
 _BILLION = 10**9
@@ -34,11 +27,11 @@ def header(stamp_ns: int, frame_id: str = "") -> dict[str, Any]:
     return {"stamp": time(stamp_ns), "frame_id": frame_id}
 
 
-def status(record: StatusRecord) -> Values:
+def status(s: Status, stamp_ns: int) -> Values:
     """cm_interfaces/Status."""
-    s, p = record.status, record.status.progress
+    p = s.progress
     return {
-        "header": header(record.stamp_ns),
+        "header": header(stamp_ns),
         "board": s.board,
         "config_name": s.config_name,
         "mode": s.mode,
@@ -65,8 +58,8 @@ def configuration(record: ConfigRecord) -> Values:
         "header": header(record.stamp_ns),
         "name": record.config.name,
         "mode": record.config.mode,
-        "modes": [{"name": m.name, "modules": m.modules, "registers": m.registers} for m in record.modes],
-        "interrupts": [interrupt.name for interrupt in record.interrupts],
+        "modes": [{"name": m.name, "modules": m.modules, "registers": m.registers} for m in record.config.modes],
+        "interrupts": [interrupt.name for interrupt in record.config.interrupts],
         "readable_streams": [stream.name for stream in record.streams if not stream.writes],
         "writable_streams": [stream.name for stream in record.streams if stream.writes],
     }
@@ -86,14 +79,9 @@ def bank(values: RegValues, stamp_ns: int) -> Values:
     }
 
 
-def registers(record: RegistersRecord) -> Values:
-    """cm_interfaces/RegisterBank of what was written."""
-    return bank(record.registers, record.stamp_ns)
-
-
-def interrupt(record: InterruptRecord) -> Values:
+def interrupt(irq: Irq, stamp_ns: int) -> Values:
     """cm_interfaces/Interrupt."""
-    return {"header": header(record.stamp_ns), "name": record.irq.name, "count": record.irq.count}
+    return {"header": header(stamp_ns), "name": irq.name, "count": irq.count}
 
 
 def image_head(frame: FrameRecord) -> Values:
@@ -138,59 +126,48 @@ def camera_info(stream: StreamFormat, frame: FrameRecord) -> Values:
 
 def plan(info: PlanInfo) -> dict[str, Any]:
     """The reply of cm_interfaces/Plan, without `success`."""
-    steps = [
-        {"kind": s.kind, "subject": s.subject, "text": s.text, "bytes": s.bytes, "seconds": s.seconds}
-        for s in info.steps
-    ]
-    return {"steps": steps, "bytes": info.bytes, "seconds": info.seconds}
+    return {"steps": [asdict(step) for step in info.steps], "bytes": info.bytes, "seconds": info.seconds}
 
 
-def diagnostics(node: str, board: Identity, now: Status | None, problem: str, stamp_ns: int) -> Values:
+def diagnostics(node: str, now: Status | None, problem: str, stamp_ns: int) -> Values:
     """diagnostic_msgs/DiagnosticArray: the board, each region that was checked, each stream that runs.
 
     `problem`: why there is no manager.
     """
-    rows = [_diagnosed_board(node, board, now, problem)]
-    if now is not None and not problem:
-        rows += [_diagnosed_region(node, board, r.name, r.health) for r in now.regions if r.health is not None]
-        rows += [_diagnosed_stream(node, board, stream) for stream in now.streams if stream.open]
-    return {"header": header(stamp_ns), "status": rows}
+    rows = list(_diagnosed(now)) if now is not None and not problem else []
+    rows = rows or [(_STALE, "board", problem or "nothing is known yet", {})]
+    board = now.board if now is not None else ""
+    told = [_row(level, f"{node}: {name}", text, board, values) for level, name, text, values in rows]
+    return {"header": header(stamp_ns), "status": told}
 
 
 def gap(board: str, missing: Gap) -> Values:
     """diagnostic_msgs/DiagnosticArray: what a record does not have."""
-    row = _row(_ERROR, "cm record: gap", missing.text, Identity(board), missing._asdict())
+    row = _row(_ERROR, "cm record: gap", missing.text, board, missing._asdict())
     return {"header": header(missing.until_ns), "status": [row]}
 
 
-def _diagnosed_board(node: str, board: Identity, now: Status | None, problem: str) -> Values:
-    if problem or now is None:
-        return _row(_STALE, f"{node}: board", problem or "nothing is known yet", board, {})
+def _diagnosed(now: Status) -> Iterator[tuple[bytes, str, str, dict[str, Any]]]:
+    """Level, name, text and values of each row."""
     level, text = _OK, f"{now.config_name}/{now.mode}" if now.config_name else "nothing is loaded"
     if now.last_error is not None:
         level, text = (_ERROR if now.pr_mode.value == "error" else _WARN), now.last_error.message
     values = {"config_name": now.config_name, "mode": now.mode, "pr_mode": now.pr_mode.value, "version": now.version}
     values |= {f"region {r.name}": f"{r.module or '-'} ({r.state})" for r in now.regions}
     values |= {f"{s.device} {s.name} ({s.quantity})": f"{s.value:g}" for s in now.sensors}
-    return _row(level, f"{node}: board", text, board, values)
+    yield level, "board", text, values
+    for r in now.regions:
+        if (health := r.health) is not None:
+            found = f"{health.upsets} upsets found, {health.repairs} repairs"
+            level, text = (_WARN, f"{health.wrong_bits} bits are wrong") if health.wrong_bits else (_OK, found)
+            yield level, f"region {r.name}", text, asdict(health)
+    for s in now.streams:
+        if s.open:
+            level, text = (_WARN, s.last_error.message) if s.last_error else (_OK, f"{s.rate:.1f} frames per second")
+            said = {"frames": s.frames, "dropped": s.dropped, "errors": s.errors, "rate": f"{s.rate:.2f}"}
+            yield level, f"stream {s.name}", text, {**said, "latency_us": f"{s.latency_us:.1f}"}
 
 
-def _diagnosed_region(node: str, board: Identity, region: str, health: RegionHealth) -> Values:
-    level, text = _OK, f"{health.upsets} upsets found, {health.repairs} repairs"
-    if health.wrong_bits:
-        level, text = _WARN, f"{health.wrong_bits} bits are wrong"
-    return _row(level, f"{node}: region {region}", text, board, asdict(health))
-
-
-def _diagnosed_stream(node: str, board: Identity, stream: StreamStatus) -> Values:
-    level, text = _OK, f"{stream.rate:.1f} frames per second"
-    if stream.last_error is not None:
-        level, text = _WARN, stream.last_error.message
-    values = {"frames": stream.frames, "dropped": stream.dropped, "errors": stream.errors, "rate": f"{stream.rate:.2f}"}
-    values |= {"latency_us": f"{stream.latency_us:.1f}"}
-    return _row(level, f"{node}: stream {stream.name}", text, board, values)
-
-
-def _row(level: bytes, name: str, text: str, board: Identity, values: dict[str, Any]) -> Values:
+def _row(level: bytes, name: str, text: str, board: str, values: dict[str, Any]) -> Values:
     pairs = [{"key": key, "value": str(value)} for key, value in values.items()]
-    return {"level": level[0], "name": name, "message": text, "hardware_id": board.name, "values": pairs}
+    return {"level": level[0], "name": name, "message": text, "hardware_id": board, "values": pairs}

@@ -13,14 +13,14 @@ from cm.client.board import Board
 from cm.errors import InvalidRequest
 from cm.networks.bridge.commands import Commands
 from cm.networks.bridge.follower import ENDED
-from cm.networks.bridge.records import Caller, ConfigRecord, Identity, InterruptRecord, RegistersRecord, StatusRecord
+from cm.networks.bridge.records import Caller, ConfigRecord
 from cm.networks.ros import messages
 from cm.networks.ros.action import ChangeModeServer
 from cm.networks.ros.parameters import Parameters
 from cm.networks.ros.services import Services, Waiting
 from cm.networks.ros.streams import Streams
 from cm.networks.ros.transport import EVENTS, FRAMES, LATCHED, Qos, Transport
-from cm.wire.messages.status import Status
+from cm.wire.messages.status import Irq, RegValues, Status
 
 _LOG = logging.getLogger("cm.ros")
 _LOOK = 0.25  # seconds between two checks for subscribers to streams
@@ -69,7 +69,6 @@ class BoardNode:
         self._own = name.full
         self._lock = threading.Lock()
         self._board: Board | None = None
-        self._identity = Identity("")
         self._latest: Status | None = None
         self._problem = ""
         self._next = 0.0
@@ -102,10 +101,10 @@ class BoardNode:
                 self._streams.close()
         self._next = 0.0  # so that it is published at once
 
-    def status(self, record: StatusRecord) -> None:
+    def status(self, status: Status, stamp_ns: int) -> None:
         """Publish a status."""
-        self._identity, self._latest = record.board, record.status
-        self._status.write(messages.status(record))
+        self._latest = status
+        self._status.write(messages.status(status, stamp_ns))
 
     def config(self, record: ConfigRecord) -> None:
         """Publish what runs, and offer its streams and parameters."""
@@ -115,14 +114,14 @@ class BoardNode:
                 self._streams.take(record, self._board)
         self._configuration.write(messages.configuration(record))
 
-    def registers(self, record: RegistersRecord) -> None:
+    def registers(self, values: RegValues, stamp_ns: int) -> None:
         """Publish what was written."""
-        self._registers.write(messages.registers(record))
-        self._parameters.event(record.registers, self._parameter_events)
+        self._registers.write(messages.bank(values, stamp_ns))
+        self._parameters.event(values, self._parameter_events)
 
-    def interrupt(self, record: InterruptRecord) -> None:
+    def interrupt(self, irq: Irq, stamp_ns: int) -> None:
         """Publish an interrupt."""
-        self._interrupts.write(messages.interrupt(record))
+        self._interrupts.write(messages.interrupt(irq, stamp_ns))
 
     # ---- what goes by the clock -----------------------------------------------------------
 
@@ -132,8 +131,7 @@ class BoardNode:
             self._streams.look()
         if time.monotonic() >= self._next:
             self._next = time.monotonic() + _DIAGNOSTICS
-            name = self._own.strip("/")
-            told = messages.diagnostics(name, self._identity, self._latest, self._problem, time.time_ns())
+            told = messages.diagnostics(self._own.strip("/"), self._latest, self._problem, time.time_ns())
             self._diagnostics.write(told)
         return _LOOK
 

@@ -34,7 +34,7 @@ class ReadableStream:
             self._info = transport.publisher(f"{base}/camera_info", "sensor_msgs/msg/CameraInfo", frames)
         else:
             self._publisher = transport.publisher(f"{base}/data", "cm_interfaces/msg/Data", frames)
-        self._reader = FrameReader(board, stream, self._take, depth=3)
+        self._reader = FrameReader(board, stream, self._take)
 
     def look(self) -> None:
         """Run only while there are subscribers."""

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import cm.schema
-from cm.networks.bridge.records import Identity, config_record, encoding_of, frame_record, stream_format
+from cm.networks.bridge.records import config_record, encoding_of, frame_record, stream_format
 from cm.networks.ros.messages import diagnostics
 from cm.schema.model import Direction, Stream
 from cm.schema.pictures import CameraInfo, camera_file, camera_info, pixel_bytes
@@ -117,12 +117,7 @@ def status(mode: str = "default", dtype: str = "uint8") -> Status:
 def test_each_stream_is_described_as_the_mode_has_it() -> None:
     info = ConfigInfo("eye", mode="default", schema=SCHEMA)
     record = config_record(status(), info, 5)
-    assert (record.board.name, record.board.started_ns, record.stamp_ns, record.configs) == (
-        "b1",
-        7,
-        5,
-        ("eye", "other"),
-    )
+    assert record.stamp_ns == 5
     front, samples = record.streams
     assert (front.encoding, front.frame_id, front.writes) == ("bayer_rggb8", "head/left", False)
     assert (samples.encoding, samples.frame_id) == ("", "samples")
@@ -146,11 +141,9 @@ def test_a_frame_has_wall_time_and_rows() -> None:
     array = np.arange(4 * 6 * 3, dtype=np.uint8).reshape(4, 6, 3)
     info = FrameInfo("front", 9, 1_000, array.nbytes, array.shape, "uint8", "eye", "deep", generation=3)
     said = Stream("front", "front", Direction.S2MM, shape=(4, 6, 3), encoding="bgr8")
-    record = frame_record(
-        "b1", stream_format(StreamStatus("front", "front", "s2mm", (4, 6, 3)), said), array, info, 500
-    )
+    record = frame_record(stream_format(StreamStatus("front", "front", "s2mm", (4, 6, 3)), said), array, info, 500)
     assert (record.stamp_ns, record.sequence, record.encoding, record.frame_id) == (1_500, 9, "bgr8", "front")
-    assert (record.height, record.width, record.step, record.generation, record.mode) == (4, 6, 18, 3, "deep")
+    assert (record.height, record.width, record.step) == (4, 6, 18)
     assert record.data is array.view(np.ndarray) or np.shares_memory(record.data, array)
     assert record.dtype == "uint8"
 
@@ -158,7 +151,7 @@ def test_a_frame_has_wall_time_and_rows() -> None:
 def test_a_frame_that_is_not_a_picture_has_no_rows() -> None:
     array = np.zeros(24, np.float32)
     info = FrameInfo("samples", 0, 0, array.nbytes, array.shape, "float32")
-    record = frame_record("b1", stream_format(StreamStatus("samples", "samples", "s2mm"), None), array, info, 0)
+    record = frame_record(stream_format(StreamStatus("samples", "samples", "s2mm"), None), array, info, 0)
     assert (record.encoding, record.height, record.width, record.step) == ("", 0, 0, 0)
 
 
@@ -177,14 +170,15 @@ def test_diagnostics_tell_what_checks_of_a_region_have_found() -> None:
         RegionStatus("b", "edge", "ready", health=wrong),
         RegionStatus("c", None, "unknown"),
     )
-    told = diagnostics("/cm", Identity("kria"), Status("camera", "edge", regions=regions), "", 1)["status"]
+    told = diagnostics("/cm", Status("camera", "edge", regions=regions, board="kria"), "", 1)["status"]
     rows = {row["name"]: (row["level"], row["message"]) for row in told}
     assert rows == {
         "/cm: board": (0, "camera/edge"),
         "/cm: region a": (0, "2 upsets found, 1 repairs"),
         "/cm: region b": (1, "4 bits are wrong"),
     }
+    assert {row["hardware_id"] for row in told} == {"kria"}
     values = {pair["key"]: pair["value"] for pair in told[1]["values"]}
     quiet = dict.fromkeys(("wrong_bits", "frames", "unjudged", "checked_ns"), "0")
     assert values == {"checks": "3", "upsets": "2", "repairs": "1"} | quiet
-    assert [row["level"] for row in diagnostics("/cm", Identity("kria"), None, "no manager", 1)["status"]] == [3]
+    assert [row["level"] for row in diagnostics("/cm", None, "no manager", 1)["status"]] == [3]

@@ -85,7 +85,7 @@ def test_a_frame_with_gaps_between_its_rows_is_sent_without_them(peers: tuple[Pe
 
     whole = np.arange(61 * 97, dtype=np.uint32).astype(np.uint8).reshape(61, 97)
     data = whole[:, :50]
-    record = FrameRecord("b", "eye", 5, 1, "eye", "mono8", 61, 50, 50, data)
+    record = FrameRecord("eye", 5, 1, "eye", "mono8", 61, 50, 50, data)
     publisher = peers[0].transport.publisher("/eye", "sensor_msgs/msg/Image", Qos(2))
     taken: queue.Queue[Any] = queue.Queue()
 

@@ -118,7 +118,7 @@ class PicturesNear:
         """µs until the subscriber has it, from when the frame is there: record, header, message."""
 
         def publish() -> None:
-            record = frame_record("bench", self._format, frame.reshape(1, -1), frame.info, 0)
+            record = frame_record(self._format, frame.reshape(1, -1), frame.info, 0)
             self._ours.write_frame(image_head(record), record)
 
         return self._timed(publish)
