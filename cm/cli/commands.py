@@ -75,13 +75,7 @@ COMMANDS = (
     Command("sim", "cm.cli.sim", "serve a simulated board", "run", linux=True),
     Command("demo", "cm.cli.demo", "run the camera demonstration on a simulated board", "try", linux=True),
     Command("bench", "cm.cli.bench", "measure latency and throughput", "try", linux=True),
-    Command(
-        "conformance",
-        "cm.cli.conformance",
-        "test a client, or a manager, against the wire protocol",
-        "try",
-        linux=True,
-    ),
+    Command("conformance", "cm.cli.conformance", "test a client against the wire protocol", "try", linux=True),
     Command("completion", "cm.cli.completion", "print a completion script for a shell", "shell"),
 )
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm conformance``: whether a client, or a manager, conforms to the wire protocol."""
+"""``cm conformance``: whether a client conforms to the wire protocol."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from cm.cli.common import add_connection_options, add_json_option, print_json
+from cm.cli.common import add_json_option, print_json
 from cm.errors import InvalidRequest, NotFound
 
 if TYPE_CHECKING:
@@ -21,18 +21,11 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Act as a manager towards a client in any language, case by case: DRIVER is a "
         "program, written by the client's author, that carries out commands given as "
-        "lines of JSON (docs/conformance.md). With --manager: check that a running "
-        "manager does everything that the protocol promises. Exit status 1 if a case "
-        "failed."
-    )
-    parser.add_argument("--manager", action="store_true", help="test a manager instead; changes nothing on the board")
-    parser.add_argument(
-        "--act", action="store_true", help="with --manager: also test leases, writes and changes of mode"
+        "lines of JSON (docs/conformance.md). Exit status 1 if a case failed."
     )
     parser.add_argument("--case", action="append", default=[], metavar="NAME", help="only these (default: all)")
     parser.add_argument("--list", action="store_true", help="list the cases, and what each is about")
     parser.add_argument("driver", nargs="*", metavar="DRIVER", help="the driver's command, after --")
-    add_connection_options(parser)
     add_json_option(parser, run)
 
 
@@ -40,10 +33,10 @@ def run(args: argparse.Namespace) -> int:
     """Run the cases; the exit status."""
     if args.list:
         return _list(args.json)
-    if args.manager == bool(args.driver):
-        raise InvalidRequest("say the command of a driver behind --, or --manager")
+    if not args.driver:
+        raise InvalidRequest("say the command of a driver behind --")
     outcomes = []
-    for outcome in _of_manager(args) if args.manager else _of_client(args):
+    for outcome in _of_client(args):
         outcomes.append(outcome)
         if not args.json:
             print(f"{outcome.result:>8}  {outcome.name}: {outcome.why or outcome.says}", flush=True)
@@ -67,14 +60,6 @@ def _of_client(args: argparse.Namespace) -> Iterator[Outcome]:
     if unknown:
         raise NotFound(f"no case {', '.join(sorted(unknown))}; cm conformance --list has them")
     return run_cases(args.driver, (case for case in known if not args.case or case.name in args.case))
-
-
-def _of_manager(args: argparse.Namespace) -> Iterator[Outcome]:
-    from cm.client.find_manager import load_keys, resolve
-    from cm.tools.conformance.manager_checks import run as run_promises
-
-    keys = load_keys(args.keys) if args.keys else None
-    return run_promises(resolve(args.connect, args.runtime_dir), keys, args.act)
 
 
 def _list(as_json: bool) -> int:

@@ -30,8 +30,6 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--scrub", type=Path, metavar="FILE",
         help="a bit of the configuration turns over, and is put right: schema of the example open_camera")  # fmt: skip
-    parser.add_argument("--bits", type=Path, metavar="FILE",
-        help="run what the bits configure: modules of a build schema that the open flow has built")  # fmt: skip
     parser.set_defaults(run=run)
 
 
@@ -56,10 +54,6 @@ def _shown(args: argparse.Namespace) -> Path:
         from cm.tools.demo.scrub import run_scrub_demo
 
         return run_scrub_demo(args.scrub, args.out)
-    if args.bits:
-        from cm.tools.demo.bits import run_bits_demo
-
-        return run_bits_demo(args.bits, args.out)
     from cm.tools.demo.runner import run_demo
 
     return run_demo(args.images, args.out, args.keep_frames, "rtl" if args.rtl else "models")

@@ -12,7 +12,6 @@ import pytest
 from cm.client.board import Board, connect
 from cm.simulation.software.hardware.camera import shipped_photos
 from cm.simulation.software.hardware.models import Colorise, edge
-from cm.tools.demo.bits import run_bits_demo, through_modules
 from cm.tools.demo.scrub import run_scrub_demo
 from cm.tools.testing.served import Served
 
@@ -58,24 +57,6 @@ def test_pictures_stream_from_memory_through_the_bits_and_back_as_any_client_doe
                 writer.write(photo)
                 assert np.array_equal(np.asarray(results.read()), models[mode](photo)), mode
         assert board.registers.frame_count == 2
-
-
-def test_a_picture_through_the_bits_is_byte_for_byte_that_of_the_software_models(open_project: Path) -> None:
-    photo = next(iter(shipped_photos().values()))
-    shown = through_modules(open_project / "build.yaml", photo, lambda _: None)
-    assert set(shown) == {"default", "colorise", "edge"}
-    assert not shown["default"].left_out
-    assert np.array_equal(shown["default"].picture, photo)
-    assert not shown["colorise"].left_out
-    assert np.array_equal(shown["colorise"].picture, Colorise()(photo, {"palette": 0}))
-    assert not shown["edge"].left_out  # its block RAM too
-    assert np.array_equal(shown["edge"].picture, edge(photo, {"threshold": 0}))
-
-
-def test_the_demonstration_writes_its_sheet(open_project: Path, tmp_path: Path) -> None:
-    said: list[str] = []
-    assert run_bits_demo(open_project / "build.yaml", tmp_path, said.append).stat().st_size > 10_000
-    assert [line.partition(":")[0] for line in said] == ["colorise", "default", "edge"]
 
 
 def test_a_bit_that_turns_over_is_seen_in_the_picture_found_and_put_right(open_project: Path, tmp_path: Path) -> None:

@@ -26,10 +26,9 @@ class HeadlessDesign:
     A context manager. Raises RtlError if the logic refuses.
     """
 
-    def __init__(self, tools: Tools, design: RtlDesign, static: Path, folder: Path, pins: bool = False) -> None:
-        """`static`: the compiled static part. `folder`: for the wiring. `pins`: what leaves the device is received."""
-        lines = wiring(design, static, 1)
-        (folder / "wiring").write_text(lines.replace("\ndrain ", "\nsink ") if pins else lines, encoding="utf-8")
+    def __init__(self, tools: Tools, design: RtlDesign, static: Path, folder: Path) -> None:
+        """`static`: the compiled static part. `folder`: for the wiring."""
+        (folder / "wiring").write_text(wiring(design, static, 1), encoding="utf-8")
         self._process = HarnessProcess(compile_harness(tools), folder / "wiring")
         self._streams = {end.sends: number for number, end in enumerate(design.streams)}
         self._control = design.system.control.base
