@@ -22,7 +22,7 @@ Rooms = Mapping[str, frozenset[str]]  # room → rooms of which it imports a mod
 
 
 def rooms() -> Rooms:
-    graph = grimp.build_graph("cm", cache_dir=None)
+    graph = grimp.build_graph("cm", exclude_type_checking_imports=True, cache_dir=None)
     names = sorted(path.parent.name for path in PACKAGE.glob("*/__init__.py"))
 
     def imported(name: str) -> frozenset[str]:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING
 
 from cm.errors import InvalidRequest
 from cm.frozen import replace
@@ -13,13 +14,15 @@ from cm.manager.access.leases import Leases
 from cm.manager.access.register_bus import RegisterBus
 from cm.manager.access.register_service import RegisterService
 from cm.manager.errors import AccessDenied, NothingLoaded, OutOfRange, RegionBusy, UnknownMemory, hint, listed
-from cm.manager.inputs import AddressRange
 from cm.manager.state.board_state import RegionState
 from cm.manager.state.journal import ManagerState
 from cm.manager.status_reports import memory_info
 from cm.schema.model import ITEM_BYTES, Access, Config, Memory
 from cm.wire.messages.requests import DefineMemory
 from cm.wire.messages.status import MemoryInfo
+
+if TYPE_CHECKING:
+    from cm.manager.interfaces import AddressRange
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,63}")
 _ACCESS = {"": Access.RW, "rw": Access.RW, "ro": Access.RO, "wo": Access.WO}
