@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Situations that users of peers reported, tried here; docs/conformance.md has the table."""
+"""Situations that users of peers reported, tried here."""
 
 from __future__ import annotations
 
