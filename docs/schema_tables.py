@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write the tables of keys in ``schema-keys.md`` and ``build-keys.md`` from their JSON Schemas (`make docs`)."""
+"""Write the lists of keys in ``schema-keys.md`` and ``build-keys.md`` from their JSON Schemas (`make docs`)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 DOCS = Path(__file__).parent
 BEGIN = "<!-- made by docs/schema_tables.py: begin -->\n"
 END = "<!-- made by docs/schema_tables.py: end -->\n"
-# Of each page the JSON Schema, and where in it is what a table's title says
+# Of each page the JSON Schema, and where in it is what a list's title says
 SECTIONS = {
     "schema-keys.md": (
         "cm/schema/data/runtime.schema.json",
@@ -69,10 +69,12 @@ WORDS = {"string": "text", "integer": "integer", "number": "number", "boolean": 
 
 
 def page(name: str) -> str:
-    """A page with its tables made anew."""
+    """A page with its lists as the JSON Schema is now."""
     path, sections = SECTIONS[name]
     schema = json.loads((DOCS.parent / path).read_text())
-    made = [_section(title, _at(schema, where), schema["definitions"]) for title, where in sections.items()]
+    made: list[str] = []
+    for title, where in sections.items():
+        made.append(_section(title, _at(schema, where), schema["definitions"], "".join(made)))
     head, rest = (DOCS / name).read_text().split(BEGIN)
     return head + BEGIN + "\n" + "\n".join(made) + END + rest.split(END)[1]
 
@@ -84,22 +86,21 @@ def _at(schema: dict[str, Any], where: str) -> dict[str, Any]:
     return found
 
 
-def _section(title: str, shape: dict[str, Any], definitions: dict[str, Any]) -> str:
+def _section(title: str, shape: dict[str, Any], definitions: dict[str, Any], above: str) -> str:
     choice = shape.get("anyOf", [shape])[-1]
     shape, said = choice, choice.get("description") or shape.get("description", "")
     required = shape.get("required", ())
     keys = {key: value for key, value in shape["properties"].items() if key != "doc"}
     rows = [_row(key, value, key in required, definitions) for key, value in keys.items()]
-    head = ["| key | value | meaning |", "|---|---|---|"]
-    above = said and "." not in title  # elsewhere the row of the key above has it
-    return "\n".join([f"## `{title}`", "", *([said, ""] if above else []), *head, *rows, ""])
+    is_new = said and f". {said}\n" not in above
+    return "\n".join([f"## `{title}`", "", *([said, ""] if is_new else []), *rows, ""])
 
 
 def _row(key: str, value: dict[str, Any], required: bool, definitions: dict[str, Any]) -> str:
     value = _follow(value, definitions)
     default = ", **required**" if required else f" = `{json.dumps(value['default'])}`" if "default" in value else ""
     default = default.replace('"', "")
-    return f"| `{key}` | {_kind(value, definitions)}{default} | {value.get('description', '')} |"
+    return f"- `{key}`: {_kind(value, definitions)}{default}. {value.get('description', '')}".rstrip()
 
 
 def _follow(value: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
