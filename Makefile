@@ -26,7 +26,7 @@ ROUNDS ?= 8
 STOPPED ?= 4
 
 .DEFAULT_GOAL := help
-.PHONY: help setup docs demo demo-authors demo-open demo-scrub demo-ros demo-fleet device-suite test test-bare test-lowest $(FURTHER:%=test-%) test-c test-node test-go test-rtl test-open test-bench test-ros test-fleet test-images test-vm vm soak soak-fleet fuzz mutation bench bench-compare lint format wheel deb board-bundle release-check layer clean
+.PHONY: help setup docs demo demo-open demo-scrub demo-ros demo-fleet device-suite test test-bare test-lowest $(FURTHER:%=test-%) test-c test-node test-go test-rtl test-open test-bench test-ros test-fleet test-images test-vm vm soak soak-fleet fuzz mutation bench bench-compare lint format wheel deb board-bundle release-check layer clean
 
 help: ## the targets that most people need, then the others
 	@awk -F':[^#]*## ' '/^[a-z-]+:[^#]*## /{printf "  %-13s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -72,10 +72,6 @@ setup: $(STAMP) ## a virtual environment with the package and what its demonstra
 
 demo: $(STAMP) ## the camera demonstration on a simulated board; writes demo/contact-sheet.png (IMAGES=DIR, OUT=DIR)
 	@$(BIN)/cm demo --out $(OUT) $(if $(IMAGES),--images $(IMAGES))
-
-demo-authors: $(VENV)/.installed-test-rtl ### the accelerators that the paper's authors published, behind the simulated board (ZYPR=DIR, a checkout of accl-kaust/zypr; OUT=DIR)
-	@test -d "$(ZYPR)" || { echo "demo-authors is skipped: git clone https://github.com/accl-kaust/zypr, then make demo-authors ZYPR=zypr"; exit 2; }
-	@$(BIN)/python examples/zypr/authors.py "$(ZYPR)" "$(OUT)"
 
 demo-ros: $(VENV)/.installed-demo-ros ## a simulated board as a ROS 2 node, seen by rclpy where ROS 2 is sourced, elsewhere by zenoh_ros2_sdk (OUT=DIR)
 	@$(BIN)/python ros2/demo.py --out $(if $(filter demo,$(OUT)),demo-ros,$(OUT))

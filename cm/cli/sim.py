@@ -44,6 +44,8 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _FAULTS
     parser.formatter_class = RawHelp
     add_arguments(parser)
+    parser.add_argument("--rtl", type=Path, metavar="FOLDER",
+        help="run the HDL of the build schema there, as `cm serve --sim=rtl --build FOLDER` does")  # fmt: skip
     parser.set_defaults(run=run, refuse=parser.error)
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=False)
     _add_actions(actions)
@@ -52,9 +54,14 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Serve, or carry out one action on a simulator that runs; the exit status."""
     if getattr(args, "action", None) is None:
+        logging.basicConfig(level=logging.WARNING, format="cm sim: %(message)s")
+        if args.rtl is not None:
+            from cm.simulation.rtl.main import run as serve_rtl
+
+            args.build, args.traces = args.rtl, False
+            return serve_rtl(args)
         from cm.simulation.software.process.main import run as serve
 
-        logging.basicConfig(level=logging.WARNING, format="cm sim: %(message)s")
         return serve(args)
     return _act(args)
 

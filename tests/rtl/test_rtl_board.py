@@ -6,7 +6,9 @@ from __future__ import annotations
 import errno
 import json
 import select
+import signal
 import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -19,7 +21,7 @@ from cm import device
 from cm.formats.bitstream import to_dma_words
 from cm.simulation.rtl.compile import Watched
 from cm.simulation.rtl.main import prepare
-from cm.simulation.software import Board
+from cm.simulation.software import Board, Control
 
 pytestmark = [needs("verilator"), needs("g++"), pytest.mark.timeout(300)]
 LOOP = HERE / "loop/build.yaml"
@@ -235,6 +237,15 @@ def test_an_error_in_the_hdl_is_reported_with_its_line(tmp_path: Path) -> None:
     broken = [type(unit)(unit.name, unit.top, (unit.sources[0], *unit.sources[1:-1], source))]
     with pytest.raises(RtlError, match=f"loop.v:{number + 1}:"):
         compile_units(find_tools(), broken)
+
+
+def test_the_board_of_a_folder_is_served_by_itself(board: Board, tmp_path: Path) -> None:  # noqa: ARG001 (compiled)
+    command = [sys.executable, "-m", "cm.cli.main", "sim", "--rtl", str(LOOP.parent), "--root", str(tmp_path / "root")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None and json.loads(process.stdout.readline())["ready"]
+        assert Control(tmp_path / "root").state()["regions"].keys() == {"left", "right"}
+        process.send_signal(signal.SIGINT)
+        assert process.wait(60) == 0
 
 
 @needs("fst2vcd")

@@ -159,8 +159,11 @@ class DesignFile(Loading):
 
 
 def load_project(path: Path | str, text: str | None = None) -> Project:
-    """Load the build schema in `path`, or `text` as if it were there. Raises SchemaError with every problem."""
-    path = normal(Path(path))
+    """Load the build schema in `path`, or `text` as if it were there; of a folder its ``build.yaml``.
+
+    Raises SchemaError with every problem.
+    """
+    path = _file(path)
     loading = _loading(path, text)
     project = _Builder(path, loading.usable(), loading).project()
     references.check(project, loading.report)
@@ -170,8 +173,12 @@ def load_project(path: Path | str, text: str | None = None) -> Project:
 
 def project_data(path: Path | str) -> dict[str, Any]:
     """Load the build schema in `path` as plain data in normal form. Raises SchemaError as `load_project` does."""
+    return _loading(_file(path), None).values()
+
+
+def _file(path: Path | str) -> Path:
     path = normal(Path(path))
-    return _loading(path, None).values()
+    return path / "build.yaml" if path.is_dir() else path
 
 
 def _loading(path: Path, text: str | None) -> DesignFile:
@@ -180,7 +187,6 @@ def _loading(path: Path, text: str | None) -> DesignFile:
     except OSError as error:
         message = f"cannot be read: {error.strerror or error}"
         hint = "cm build init FILE… writes a first one from HDL" if isinstance(error, FileNotFoundError) else ""
-        hint = f"name the file: {path / 'build.yaml'}" if (path / "build.yaml").is_file() else hint
         raise SchemaError([Problem(path, 1, 1, "", "unreadable", message, hint)]) from None
     return DesignFile(text, path, SCHEMA_FILE, "project: (or with cm build init)")
 
