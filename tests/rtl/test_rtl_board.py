@@ -239,10 +239,11 @@ def test_an_error_in_the_hdl_is_reported_with_its_line(tmp_path: Path) -> None:
         compile_units(find_tools(), broken)
 
 
-def test_the_board_of_a_folder_is_served_by_itself(board: Board, tmp_path: Path) -> None:  # noqa: ARG001 (compiled)
+def test_the_board_of_a_folder_is_served_by_itself(board: Board, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "cm.cli.main", "sim", "--rtl", str(LOOP.parent), "--root", str(tmp_path / "root")]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
-        assert process.stdout is not None and json.loads(process.stdout.readline())["ready"]
+        assert process.stdout is not None
+        assert json.loads(process.stdout.readline())["ready"]
         assert Control(tmp_path / "root").state()["regions"].keys() == {"left", "right"}
         process.send_signal(signal.SIGINT)
         assert process.wait(60) == 0
