@@ -287,5 +287,7 @@ def test_check_settings_prints_the_schema_for_editors(capsys: pytest.CaptureFixt
 def test_the_documentation_names_every_key() -> None:
     settings = (ROOT / "docs/service.md").read_text().split("**cm.yaml(5)**")[1].split("\n## ")[0]
     named = {key.rpartition(".")[2] for key in re.findall(r"`([a-z_.]+)`", settings)}
-    inner = {key for name, part in schema()["properties"].items() if name != "limits" for key in part.get("properties", ())}
+    inner = {
+        key for name, part in schema()["properties"].items() if name != "limits" for key in part.get("properties", ())
+    }
     assert set(schema()["properties"]) | inner <= named | {"policy", "access", "record", "imports", "streams", "dma"}
