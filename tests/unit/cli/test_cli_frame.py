@@ -115,7 +115,7 @@ def test_no_command_is_a_usage_error_that_shows_the_help(capsys: pytest.CaptureF
 
 def test_the_page_of_the_docs_has_every_command() -> None:
     page = (CAMERA.parents[3] / "docs" / "cli.md").read_text()
-    rows = "\n".join(f"| `cm {command.name}` | {command.help} |" for command in COMMANDS)
+    rows = "\n".join(f"- `cm {command.name}`: {command.help}" for command in COMMANDS)
     assert rows in page
 
 
