@@ -34,14 +34,13 @@ def fill_tools(parser: argparse.ArgumentParser) -> None:
         " compiled or installed)."
     )
     parser.add_argument("--fetch", action="store_true", help="fetch what is missing")
-    parser.add_argument("--tools", type=Path, metavar="DIR", help="folder for them (default: in your cache folder)")
     parser.add_argument("--mirror", metavar="URL", help="Debian mirror (default: the one that this machine uses)")
     add_json_option(parser, run_tools)
 
 
 def run_tools(args: argparse.Namespace) -> int:
     """Fetch if asked to, and say what is installed."""
-    found = fetch_tools(args.tools, args.mirror) if args.fetch else find_tools(args.tools)
+    found = fetch_tools(mirror=args.mirror) if args.fetch else find_tools()
     yosys, nextpnr = found.yosys.command[-1], found.nextpnr.command[-1]
     told = {"yosys": yosys, "nextpnr": nextpnr, "database": found.database, "packages": dict(found.versions)}
     lines = [f"{tool.name}: {tool.command[-1]}" for tool in (found.yosys, found.nextpnr)]
@@ -56,7 +55,7 @@ def run_open(args: argparse.Namespace, out: Path) -> int:
     if args.dry_run:
         raise BuildError("--dry-run is of the flow in Vivado; the open flow says what it does while it runs")
     tell = (lambda _: None) if args.json else _tell
-    flow = OpenFlow(design.system, out, find_tools(args.tools), tell, Settings(seed=args.seed, jobs=max(1, args.jobs)))
+    flow = OpenFlow(design.system, out, find_tools(), tell, Settings(seed=args.seed, jobs=max(1, args.jobs)))
     ran = flow.run()
     if args.json:
         print_json({"ran": ran, "bitstreams": out / "bitstreams"})
@@ -108,7 +107,6 @@ def fill_run(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="seed for nextpnr (default: 1); the same seed gives the same bits",
     )
-    parser.add_argument("--tools", type=Path, metavar="DIR", help="folder that cm build tools --fetch filled")
     parser.add_argument("--dry-run", action="store_true", help="list the steps, and which of them would run")
     add_json_option(parser, run_run)
 

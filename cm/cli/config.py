@@ -26,12 +26,12 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
     """Describe the command."""
     parser.description = (
         "Configurations that the manager has (list, send, remove), runtime schemas in files (check), and "
-        "earlier versions of what `cm import archive` installed (versions, rollback)."
+        "earlier versions of what `cm import archive` installed (rollback)."
     )
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     _add_to_manager(actions)
     _add_check(actions)
-    _add_versions(actions)
+    _add_rollback(actions)
 
 
 def _add_to_manager(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -66,21 +66,21 @@ def _add_check(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     check.set_defaults(usage_error=check.error)
 
 
-def _add_versions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    listing = actions.add_parser("versions", help="list the earlier versions, newest first")
+def _add_rollback(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     rollback = actions.add_parser(
         "rollback",
         help="switch to an earlier version, in one step",
         description="Switch to an earlier version. A running manager takes it over when it is restarted or gets "
         "SIGHUP (systemctl reload cm).",
     )
-    rollback.add_argument("--to", type=int, metavar="N", help="number of the version (default: the newest)")
-    for action, run in ((listing, run_versions), (rollback, run_rollback)):
-        completes(action.add_argument("config", metavar="CONFIG"), "<config>")
-        action.add_argument(
-            "--out", type=Path, metavar="DIR", default=_FIRMWARE, help=f"folder of the configurations ({_FIRMWARE})"
-        )
-        add_json_option(action, run)
+    completes(rollback.add_argument("config", metavar="CONFIG"), "<config>")
+    rollback.add_argument(
+        "--to", type=int, metavar="N", help="its number (default: the newest; 0 names those there are)"
+    )
+    rollback.add_argument(
+        "--out", type=Path, metavar="DIR", default=_FIRMWARE, help=f"folder of the configurations ({_FIRMWARE})"
+    )
+    add_json_option(rollback, run_rollback)
 
 
 def run_list(args: argparse.Namespace) -> int:
@@ -159,21 +159,6 @@ def run_check(args: argparse.Namespace) -> int:
     from cm.cli.config_check import run  # here: it reads schemas
 
     return run(args)
-
-
-def run_versions(args: argparse.Namespace) -> int:
-    """List; the exit status."""
-    from cm.formats.importers import versions
-
-    found = versions(args.out, args.config)
-    if args.json:
-        print_json({"versions": [{"number": v.number, "folder": str(v.folder)} for v in found]})
-        return 0
-    if not found:
-        print(f"no earlier version of configuration {args.config} in {args.out}", file=sys.stderr)
-    for version in found:
-        print(f"{version.number:>4}  {version.folder}")
-    return 0
 
 
 def run_rollback(args: argparse.Namespace) -> int:

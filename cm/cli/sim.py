@@ -97,8 +97,8 @@ def _add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -
             metavar="DIR",
             help="folder that the simulator serves (default: $CM_ROOT, or that of this machine's `cm serve --sim`)",
         )
-        add_json_option(parser, run)
-        parser.set_defaults(refuse=parser.error)
+        parser.set_defaults(run=run, refuse=parser.error)
+    add_json_option(upset, run)
 
 
 def _act(args: argparse.Namespace) -> int:

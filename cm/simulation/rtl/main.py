@@ -111,7 +111,7 @@ def _start(
     (static,) = compile_units(tools, [design.static], watched)
     made = make(tools, design, watched, parts)
     lines = folder / "wiring"
-    lines.write_text(wiring(design, static, parts.options.seed), encoding="utf-8")
+    lines.write_text(wiring(design, static, 1), encoding="utf-8")
     process = HarnessProcess(compile_harness(tools), lines)
     try:
         for name, library in made.reading.items():  # zeros in place of a file would make another module of it

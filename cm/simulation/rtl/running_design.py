@@ -55,7 +55,7 @@ class RunningDesign:
 
     def __init__(self, parts: LogicParts, design: RtlDesign, process: HarnessProcess, libraries: Libraries) -> None:
         self.design, self.process = design, process
-        self._loop, self._libraries, self._seed = parts.loop, libraries, parts.options.seed
+        self._loop, self._libraries, self._seed = parts.loop, libraries, 1
         self._hears = False  # already asked to
         self._applied: dict[str, object] = dict.fromkeys(design.regions)
         self._runs: dict[str, Library] = {}  # what was loaded last, by region

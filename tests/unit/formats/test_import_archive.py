@@ -164,9 +164,9 @@ def test_a_rollback_goes_to_the_youngest_and_the_next_one_forward_again(tmp_path
 
 def test_a_rollback_goes_to_the_version_that_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = imported(tmp_path, b"1", b"2", b"3")
-    main(["config", "versions", "vision", "--out", str(out), "--json"])
-    oldest = json.loads(capsys.readouterr().out)["versions"][-1]["number"]
-    assert main(["config", "rollback", "vision", "--to", str(oldest), "--out", str(out)]) == 0
+    assert main(["config", "rollback", "vision", "--to", "0", "--out", str(out)]) == 1
+    oldest = capsys.readouterr().err.rpartition("(there: ")[2].partition(")")[0].split(", ")[-1]
+    assert main(["config", "rollback", "vision", "--to", oldest, "--out", str(out)]) == 0
     assert note(out) == b"1"
 
 

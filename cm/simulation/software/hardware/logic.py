@@ -84,8 +84,6 @@ class Options:
     hold: int = 150  # frames for which a photo stays
     rate: float | None = None  # frames per second of every camera; None: as the schema says; 0: as fast as possible
     memory: int = 512 << 20  # bytes of DMA memory
-    bitstream_size: int | None = None
-    seed: int = 1
     vdma: Collection[str] = ()  # channels that are a VDMA's
     simple: Mapping[str, tuple[int, bool]] = field(default_factory=dict)  # bits of the length register, and if blind
     coherent: bool = True  # memory: if not, every access of the processor has to be synchronised

@@ -78,12 +78,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="speed of the fpga_manager in bytes per second (145e6)",
     )
     add("--memory", type=_positive, default=512, metavar="MIB", help="MiB of DMA memory of the board (512)")
-    add(
-        "--bitstream-size",
-        type=_positive,
-        metavar="BYTES",
-        help="frame data in assembled bitstreams (default: the region's)",
-    )
     add("--vdma", action="append", default=[], metavar="CHANNEL",
         help="make this a channel of a VDMA, which moves frames of lines only; may be repeated")  # fmt: skip
     add("--simple-dma", action="append", type=_simple, default=[], metavar="CHANNEL[:BITS[:blind]]",
@@ -92,7 +86,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="DMA memory that has to be synchronised (docs/simulator.md)")  # fmt: skip
     add("--static-identity", type=_identity, metavar="VALUE",
         help="identity that the static part reports (default: the one that the configurations expect)")  # fmt: skip
-    add("--seed", type=int, default=1, help="seed of the noise that unloaded regions produce (1)")
     add("--models", action="append", default=[], metavar="MODULE", help="module or .py file with a mapping MODELS")
     add("--linger", type=_number, metavar="SECONDS",
         help="exit when the parent has died and no client has been connected for this long")  # fmt: skip

@@ -28,9 +28,8 @@ _STATIC_ROW = 31  # contains no region of ours
 class Firmware:
     """The folder lib/firmware/cm/<config> of each configuration."""
 
-    def __init__(self, root: Root, spec: BoardSpec, size: int | None) -> None:
-        """`size`: bytes of frame data in a module's bitstream; None: as many as its region holds."""
-        self._root, self._spec, self._size = root, spec, size
+    def __init__(self, root: Root, spec: BoardSpec) -> None:
+        self._root, self._spec = root, spec
 
     def install(self) -> dict[str, ModuleSpec]:
         """Write what is missing; existing bitstreams are returned by `digest`, so that the port recognises them."""
@@ -72,7 +71,7 @@ class Firmware:
         region = self._spec.regions.get(module.region)
         footprint = region.footprint if region else ()
         columns = sum(frames.column_last - frames.column_first + 1 for frames in footprint)
-        size = self._size or columns * _COLUMN_BYTES
+        size = columns * _COLUMN_BYTES
         return assemble_module(
             module.name, model=module.model, device=self._spec.device, footprint=footprint, size=size
         )

@@ -45,7 +45,7 @@ class Machine:
         self.loop, self.root, self.spec, self.options = loop, root, spec, options
         self.server = Server(loop)
         self.faults = Faults()
-        self.fabric = Fabric(spec, options.seed)
+        self.fabric = Fabric(spec)
         self.memory = DmaMemory(options.memory, options.coherent)
         self.logic = make(LogicParts(loop, self.fabric, self.faults, models, self.memory, options))
         self.engine = self._engine()
@@ -160,7 +160,7 @@ class Machine:
         return state
 
     def _engine(self) -> ConfigurationEngine:
-        firmware = Firmware(self.root, self.spec, self.options.bitstream_size)
+        firmware = Firmware(self.root, self.spec)
         known = firmware.install()
         self.logic.know(firmware.images(), digest)
         self._config = ConfigMemory(self.fabric, known)

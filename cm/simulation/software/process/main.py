@@ -167,8 +167,6 @@ def _options(args: argparse.Namespace) -> Options:
         icap_rate=args.icap_rate,
         pcap_rate=args.pcap_rate,
         memory=args.memory << 20,
-        bitstream_size=args.bitstream_size,
-        seed=args.seed,
         vdma=frozenset(args.vdma),
         simple=dict(args.simple_dma),
         coherent=not args.non_coherent,
