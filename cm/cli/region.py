@@ -32,7 +32,7 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     check = actions.add_parser("check", help="read a region back and compare it", description=_CHECK)
     completes(check.add_argument("name", metavar="NAME", help="the region"), "<region>")
-    check.add_argument("--repair", action="store_true", help="write what is wrong anew, and compare again")
+    check.add_argument("--repair", action="store_true", help="write what is wrong again, and compare once more")
     check.add_argument("--reload", action="store_true", help="repair by loading the whole region again")
     add_board_options(check, run_check)
     _add_map(actions)
@@ -94,7 +94,7 @@ def _verdict(found: RegionCheck) -> str:
     bits += "s" if found.wrong_frames > 1 else ""
     if not found.repaired:
         return f"{bits} wrong"
-    return f"{bits} were wrong; good again, {'written anew' if found.repaired == 'frames' else 'loaded again'}"
+    return f"{bits} were wrong; good again, {'written again' if found.repaired == 'frames' else 'loaded again'}"
 
 
 # ---- map -------------------------------------------------------------------------

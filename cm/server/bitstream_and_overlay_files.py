@@ -385,7 +385,7 @@ def _is_region(node: fdt.FdtNode) -> bool:
 
 def _says_of_loading(name: str, node: fdt.FdtNode) -> bool:
     if _DMABUF in node.properties:
-        raise BadOverlay(f"{name}: {_DMABUF} would load what cannot be looked at beforehand; name a file ({_NAME})")
+        raise BadOverlay(f"{name}: {_DMABUF} would load what cannot be checked first; name a file ({_NAME})")
     return _NAME in node.properties
 
 
@@ -638,7 +638,7 @@ def _read_learned(path: Path) -> Mapping[_Key, LearnedFootprint]:
     except FileNotFoundError:
         return {}
     except (OSError, ValueError, KeyError, TypeError) as error:
-        _LOG.warning("learned footprints in %s are not used (%s); they are learned anew", path, error)
+        _LOG.warning("learned footprints in %s are not used (%s); they are learned again", path, error)
         return {}
 
 

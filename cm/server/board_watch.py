@@ -103,7 +103,7 @@ class BoardWatch:
         try:
             self._begin()
         except CmError as error:  # what the start asked for may have been removed since
-            _LOG.error("the board was started anew, and nothing is loaded: %s", error)
+            _LOG.error("the board was restarted, and nothing is loaded: %s", error)
 
     def _look_for_sleep(self) -> None:
         """While the machine slept, the PL may have been without power."""

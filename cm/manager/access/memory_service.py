@@ -184,7 +184,7 @@ class MemoryService:
         """Raise InvalidRequest if this is a memory's name, since only streams have settings."""
         if self.find(name) is not None:
             raise InvalidRequest(
-                f"memory {name!r} is not a stream: only one that was defined at run time can be defined anew, "
+                f"memory {name!r} is not a stream: only one that was defined at run time can be defined again, "
                 "with address and length"
             )
 

@@ -273,7 +273,7 @@ class Repair(_OfRegion):
 
     @property
     def text(self) -> str:
-        return f"write {self.frames} frame{'s' if self.frames > 1 else ''} of {self.region.name} anew"
+        return f"write {self.frames} frame{'s' if self.frames > 1 else ''} of {self.region.name} again"
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,7 @@ from cm.tools.testing.served import Served
 from cm.wire.messages.status import FrameError
 
 _MODE, _MODULE = "edge_detection", "edge"
-_REPAIRED = {"frames": "the frame was written anew", "load": "the region was loaded again"}
+_REPAIRED = {"frames": "the frame was written again", "load": "the region was loaded again"}
 _HITS = 12  # at most, until one can be seen
 _WAIT = 60.0  # seconds for a picture: the simulator compiles what the bits are now
 
