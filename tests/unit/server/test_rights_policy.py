@@ -634,7 +634,7 @@ def test_the_rights_of_a_guest_end_with_those_of_its_bridge() -> None:
 
 def test_every_promise_of_the_page_names_a_test_that_there_is() -> None:
     text = (ROOT / "docs/promises.md").read_text("utf-8")
-    rows = [line for line in text.splitlines() if line.startswith("| ") and "`" in line]
+    rows = [line for line in text.splitlines() if line.startswith("- ")]
     assert len(rows) > 25
     for row in rows:
         path = ""
