@@ -331,12 +331,19 @@ def firmware_loads(name: str, blob: bytes) -> tuple[FirmwareLoad, ...]:
     """Everything that applying an overlay would load. Raises BadOverlay, also if that cannot be known beforehand."""
     root = _read(name, blob)
     for _, node in root.walk():
-        if _NAME in node.properties and node.name != "__overlay__" and _is_region(node):
+        is_region = b"fpga-region" in node.properties.get("compatible", b"").split(b"\0")
+        if _NAME in node.properties and node.name != "__overlay__" and is_region:
             raise BadOverlay(
                 f"{name}: node {node.name} adds an fpga-region with {_NAME}, which the kernel refuses: "
                 "a region is loaded once it exists, by an overlay that targets it"
             )
-    return tuple(_load(name, node) for node in _targets(root) if _says_of_loading(name, node))
+    loads = []
+    for node in _targets(root):
+        if _DMABUF in node.properties:
+            raise BadOverlay(f"{name}: {_DMABUF} would load what cannot be checked first; name a file ({_NAME})")
+        if _NAME in node.properties:
+            loads.append(_load(name, node))
+    return tuple(loads)
 
 
 def naming(name: str, blob: bytes, firmware: str) -> bytes:
@@ -379,29 +386,14 @@ def _targets(root: fdt.FdtNode) -> Iterator[fdt.FdtNode]:
     return (node for _, node in root.walk() if node.name == "__overlay__")
 
 
-def _is_region(node: fdt.FdtNode) -> bool:
-    return b"fpga-region" in node.properties.get("compatible", b"").split(b"\0")
-
-
-def _says_of_loading(name: str, node: fdt.FdtNode) -> bool:
-    if _DMABUF in node.properties:
-        raise BadOverlay(f"{name}: {_DMABUF} would load what cannot be checked first; name a file ({_NAME})")
-    return _NAME in node.properties
-
-
-def _unknown(node: fdt.FdtNode) -> str | None:
-    """A property that makes linux-xlnx treat the image differently: user keys, authentication."""
-    wanted = (key for key in node.properties if key.endswith("-fpga-config") or key == "encrypted-key-name")
-    return next((key for key in wanted if key not in _KNOWN), None)
-
-
 def _load(name: str, node: fdt.FdtNode) -> FirmwareLoad:
     if _EXTERNAL in node.properties:
         raise BadOverlay(f"{name}: {_NAME} and {_EXTERNAL} in one node contradict each other; the kernel refuses them")
-    if (unknown := _unknown(node)) is not None:
-        raise BadOverlay(
-            f"{name}: {unknown} asks for a way of loading that is not supported; supported is {', '.join(_KNOWN)}"
-        )
+    for key in node.properties:  # others make linux-xlnx treat the image differently: user keys, authentication
+        if (key.endswith("-fpga-config") or key == "encrypted-key-name") and key not in _KNOWN:
+            raise BadOverlay(
+                f"{name}: {key} asks for a way of loading that is not supported; supported is {', '.join(_KNOWN)}"
+            )
     value = node.properties[_NAME]
     if not value.endswith(b"\0") or value.count(b"\0") != 1 or len(value) < 2:
         raise BadOverlay(f"{name}: its {_NAME} {value!r} is not one name")
@@ -414,23 +406,13 @@ _MAX_OVERLAY = 16 << 20  # bytes
 _Overlay = tuple[bytes, tuple[FirmwareLoad, ...], Mapping[str, bool]]  # a checked blob; loads; targets: of a load?
 
 
-def _aims(root: fdt.FdtNode) -> Mapping[str, bool]:
-    """The targets of an overlay, and whether something is loaded there."""
-    contents = {fragment.name: fragment.child("__overlay__") for fragment in root.children}
-    loading = {name for name, node in contents.items() if node is not None and _NAME in node.properties}
-    return {target: fragment in loading for fragment, target in targets(root).items()}
-
-
 class OverlayFiles:
-    """The .dtbo files below a root. `read` reads one."""
+    """The .dtbo files below a root."""
 
-    def __init__(
-        self, root: Path, reader: BitstreamReader, firmware: FirmwareFolder, read: Callable[[Path], bytes]
-    ) -> None:
+    def __init__(self, root: Path, reader: BitstreamReader, firmware: FirmwareFolder) -> None:
         self._root = root
         self._reader = reader
         self._firmware = firmware
-        self._read = read
         self._checked: dict[Path, tuple[tuple[object, ...], _Overlay]] = {}
 
     def beside(self, config: Config, overlay: Overlay, images: Sequence[Image]) -> bytes:
@@ -486,8 +468,12 @@ class OverlayFiles:
             raise BadOverlay(
                 f"{path}: {state.st_size} bytes are not an overlay; it has at most {_MAX_OVERLAY >> 20} MiB"
             )
-        data = checked_overlay(str(path), self._read(path))
-        found = self._checked[path] = key, (data, firmware_loads(str(path), data), _aims(fdt.unpack(data)))
+        data = checked_overlay(str(path), path.read_bytes())
+        root = fdt.unpack(data)
+        contents = {fragment.name: fragment.child("__overlay__") for fragment in root.children}
+        loading = {name for name, node in contents.items() if node is not None and _NAME in node.properties}
+        aims = {target: fragment in loading for fragment, target in targets(root).items()}
+        found = self._checked[path] = key, (data, firmware_loads(str(path), data), aims)
         return found[1]
 
     def _known(self, path: Path, config: Config, load: FirmwareLoad, images: Sequence[Image]) -> None:
@@ -542,10 +528,6 @@ def _check_flags(what: str, load: FirmwareLoad, image: Image) -> None:
         )
 
 
-def _names(tree: fdt.FdtNode) -> Iterator[str]:
-    return (node.name for _, node in tree.walk())
-
-
 _LOG = logging.getLogger("cm")
 _VERSION = 1
 
@@ -580,10 +562,12 @@ class Footprints:
         learned = self._learned.get(key)
         if learned is None:
             return ()
-        if key in self._untested and not _holds(learned, config, region, sha256_of):
-            self._drop([key])
-            return ()
-        self._untested.discard(key)
+        if key in self._untested:
+            module = config.modules.get(learned.module)
+            if module is None or module.region != region or sha256_of(module.name) != learned.sha256:
+                self._drop([key])
+                return ()
+            self._untested.discard(key)
         return learned.frames
 
     def learn(self, config: str, region: str, learned: LearnedFootprint) -> None:
@@ -616,19 +600,13 @@ class Footprints:
             _LOG.warning("learned footprints could not be written: %s", sentence(error))
 
 
-def _holds(learned: LearnedFootprint, config: Config, region: str, sha256_of: Callable[[str], str | None]) -> bool:
-    module = config.modules.get(learned.module)
-    return module is not None and module.region == region and sha256_of(learned.module) == learned.sha256
-
-
 def _encode(learned: Mapping[_Key, LearnedFootprint]) -> bytes:
-    rows = [[*key, x.module, x.sha256, [_row(f) for f in x.frames]] for key, x in learned.items()]
+    def row(f: FrameRange) -> list[int]:
+        return [f.block_type, f.row, f.column_first, f.column_last]
+
+    rows = [[*key, x.module, x.sha256, [row(f) for f in x.frames]] for key, x in learned.items()]
     body = json.dumps({"version": _VERSION, "regions": rows})
     return f"{zlib.crc32(body.encode()):08x} {body}\n".encode()
-
-
-def _row(f: FrameRange) -> list[int]:
-    return [f.block_type, f.row, f.column_first, f.column_last]
 
 
 def _read_learned(path: Path) -> Mapping[_Key, LearnedFootprint]:
@@ -680,7 +658,9 @@ class BoardFiles:
         self._firmware = FirmwareFolder(root, self._reader, copies)
         self._footprints = footprints or Footprints()
         self._frames: dict[str, LoadedFrames] = {}  # by the image's hash
-        self._overlays = OverlayFiles(root, self._reader, self._firmware, self._read_overlay)
+        overlays = OverlayFiles(root, self._reader, self._firmware)
+        self.firmware_name, self.check_firmware = self._firmware.name_of, self._firmware.check
+        self.overlay, self.loading_overlay = overlays.beside, overlays.loading
 
     # ---- bitstreams -----------------------------------------------------------------
 
@@ -753,18 +733,6 @@ class BoardFiles:
 
     # ---- what the kernel is given ---------------------------------------------------
 
-    def firmware_name(self, image: Image) -> str:
-        """See `FirmwareFolder.name_of`."""
-        return self._firmware.name_of(image)
-
-    def check_firmware(self, name: str, image: Image) -> None:
-        """See `FirmwareFolder.check`."""
-        self._firmware.check(name, image)
-
-    def overlay(self, config: Config, overlay: Overlay, images: Sequence[Image]) -> bytes:
-        """See `OverlayFiles.beside`."""
-        return self._overlays.beside(config, overlay, images)
-
     def clashes(self, overlays: Mapping[str, bytes], going: Collection[str]) -> Mapping[str, str]:
         """See `live_clashes`. Nothing is said where the kernel does not give back the overlays that are applied."""
         from cm.formats.live_tree import live_clashes
@@ -775,16 +743,9 @@ class BoardFiles:
             found = live_clashes(Root.of(self._root), wanted, [there])
         except (OSError, fdt.FdtError):
             return {}
-        owners = {node: name for name, tree in wanted.items() for node in _names(tree)}
+        owners = {node.name: name for name, tree in wanted.items() for _, node in tree.walk()}
         said: dict[str, list[str]] = {}
         for clash in found:
             owner = owners.get(clash.node.rpartition("/")[2], clash.node)  # a label's clash names the overlay itself
             said.setdefault(owner, []).append(f"{clash.text} ({clash.advice})")
         return {name: "; ".join(sentences) for name, sentences in said.items()}
-
-    def loading_overlay(self, config: Config, module: Module, image: Image) -> bytes:
-        """See `OverlayFiles.loading`."""
-        return self._overlays.loading(config, module, image)
-
-    def _read_overlay(self, path: Path) -> bytes:
-        return path.read_bytes()

@@ -14,7 +14,6 @@ import os
 import resource
 import socket
 import stat
-import struct
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
@@ -30,12 +29,12 @@ from cm.server.rights.admission import Gate
 from cm.server.rights.model import Access
 from cm.server.rights.principal import DATA, IPC, Principal, from_id, of_process
 from cm.server.rights.required_rights import OPENING, needs_of
+from cm.server.streams.client_process import credentials
 from cm.wire.plane_packets import SOCKET, Open
 from cm.wire.topics import Endpoints
 
 _LOG = logging.getLogger("cm")
 _DESCRIPTORS = 65536  # requested, if as many are allowed: libzmq ends its process when it has none for a connection
-_CREDENTIALS = struct.Struct("=iII")  # struct ucred
 _OUTQ = 0x5411  # SIOCOUTQ: bytes that the other end has not taken yet
 _STUCK, _LOOK = 0.1, 0.05  # seconds without taking anything, and between two looks
 _TOPICS = ("pub", "sub", "req")
@@ -57,13 +56,6 @@ def sockets() -> Iterator[socket.socket]:
                 yield socket.socket(fileno=os.dup(number))
         except OSError:  # gone meanwhile
             continue
-
-
-def credentials(connection: socket.socket) -> tuple[int, int, int]:
-    """pid, uid, gid of the process that connected. Raises OSError."""
-    raw = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
-    pid, uid, gid = _CREDENTIALS.unpack(raw)
-    return pid, uid, gid
 
 
 class Connections:

@@ -6,10 +6,11 @@ from __future__ import annotations
 import errno
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from cm.device import (
     AxiDma,
@@ -69,7 +70,7 @@ def port_memory(length: int, root: Root) -> DeviceMemory:
     """Likewise, of a configuration port only. Raises DeviceError; DeviceNotFound where there is none. Any thread."""
     port = Icap.open(root=root)
     try:
-        buffer = _told(port.allocate(length))
+        buffer = _with_address(port.allocate(length))
     except BaseException:
         port.close()
         raise
@@ -87,7 +88,9 @@ def _of_channel(length: int, root: Root) -> DeviceMemory:
     for name in list_dma(root):
         try:
             with AxiDma.open(name, root) as channel:
-                return _kept(_told(channel.allocate(length)))
+                buffer = _with_address(channel.allocate(length))
+                fd = os.dup(buffer.fd)
+                return DeviceMemory(fd, buffer.length, buffer.coherent, buffer.address, partial(os.close, fd))
         except DeviceBusy as error:
             busy = error
     if busy is not None:
@@ -95,12 +98,7 @@ def _of_channel(length: int, root: Root) -> DeviceMemory:
     raise NotFound("no device of this board gives memory: it has neither a configuration port nor a DMA channel")
 
 
-def _kept(buffer: DmaBuffer) -> DeviceMemory:
-    fd = os.dup(buffer.fd)
-    return DeviceMemory(fd, buffer.length, buffer.coherent, buffer.address, lambda: os.close(fd))
-
-
-def _told(buffer: DmaBuffer) -> DmaBuffer:
+def _with_address(buffer: DmaBuffer) -> DmaBuffer:
     if buffer.address:
         return buffer
     buffer.close()
@@ -131,6 +129,7 @@ class _OurOverlays(Overlays):
             super().apply(name, dtbo)
 
 
+_T = TypeVar("_T")
 _BOOT_ID = "proc/sys/kernel/random/boot_id"
 
 
@@ -142,9 +141,7 @@ class BoardDevices:
         self._root, self._assumed = root, assume_loaded
         self.others = OtherLoads(root)
         self._lock = threading.RLock()
-        self._uios: dict[str, Uio] = {}
-        self._icaps: dict[str, Icap] = {}
-        self._lines: dict[tuple[str, int | str], GpioLine] = {}
+        self._open: dict[tuple[str, Hashable], Any] = {}
 
     @property
     def root(self) -> Path:
@@ -193,30 +190,25 @@ class BoardDevices:
                 )
             raise NoWindow(f"{why}; they go by requests as before") from error
 
+    def _kept(self, kind: str, name: Hashable, opens: Callable[[], _T]) -> _T:
+        with self._lock:
+            handle: _T | None = self._open.get((kind, name))
+            if handle is None:
+                handle = self._open[kind, name] = opens()
+            return handle
+
     def uio(self, name: str) -> Uio:
         """An open UIO device, by its node's or its own name."""
-        with self._lock:
-            found = self._uios.get(name)
-            if found is None:
-                found = self._uios[name] = Uio.open(name, self._root)
-            return found
+        return self._kept("uio", name, lambda: Uio.open(name, self._root))
 
     def icap(self, name: str | None) -> Icap:
         """An open configuration port; ``cm_icap0`` if no name is given."""
         name = name or "cm_icap0"
-        with self._lock:
-            found = self._icaps.get(name)
-            if found is None:
-                found = self._icaps[name] = Icap.open(name, self._root)
-            return found
+        return self._kept("icap", name, lambda: Icap.open(name, self._root))
 
     def gpio(self, chip: str, line: int | str) -> GpioLine:
         """A line of a GPIO chip, held until the board is lost: given back, it may change."""
-        with self._lock:
-            found = self._lines.get((chip, line))
-            if found is None:
-                found = self._lines[chip, line] = GpioLine.open(chip, line, self._root)
-            return found
+        return self._kept("gpio", (chip, line), lambda: GpioLine.open(chip, line, self._root))
 
     def fpga_manager(self, name: str | None) -> FpgaManager:
         """The kernel's FPGA manager: ``fpga0`` if no name is given. Raises DeviceNotFound for any other name."""
@@ -251,7 +243,7 @@ class BoardDevices:
 
     def check(self) -> None:
         """Raise DeviceError if the board no longer answers: ask its ports, or open a window."""
-        ports = {*self._icaps, *list_icap(self._root)}
+        ports = {*(str(name) for kind, name in self._open if kind == "icap"), *list_icap(self._root)}
         for name in sorted(ports):
             self.icap(name).status()
         for info in [] if ports else list_uio(self._root)[:1]:
@@ -260,17 +252,14 @@ class BoardDevices:
     def forget(self) -> bool:
         """Close UIO devices and ports that have gone, or are others now; the next use opens them anew."""
         with self._lock:
-            kept: tuple[dict[str, Uio] | dict[str, Icap], ...] = self._uios, self._icaps
-            gone = [(handles, name) for handles in kept for name, handle in handles.items() if not handle.present]
-            for handles, name in gone:
-                handles.pop(name).close()
+            gone = [key for key, handle in self._open.items() if key[0] != "gpio" and not handle.present]
+            for key in gone:
+                self._open.pop(key).close()
             return bool(gone)
 
     def lost(self) -> None:
         """Close everything; the next use opens it anew."""
         with self._lock:
-            kept: tuple[dict[Any, Any], ...] = self._uios, self._icaps, self._lines
-            for handles in kept:
-                for handle in handles.values():
-                    handle.close()
-                handles.clear()
+            for handle in self._open.values():
+                handle.close()
+            self._open.clear()

@@ -80,7 +80,9 @@ class InterruptWatch:
             except (CmError, OSError) as error:
                 self.incomplete = True
                 _LOG.info("interrupt %s cannot be watched yet: %s", interrupt.name, error)
-        self._serve_masked()
+        for node, line in list(self._lines.items()):
+            if line.waiting:  # masked
+                self._serve(node, line)
 
     def _watch(self, interrupt: Interrupt) -> None:
         node = interrupt.uio or find_uio(interrupt.base_address or 0, 4, self._root)[0].node
@@ -125,7 +127,8 @@ class InterruptWatch:
     def _tell(self, sharing: list[Interrupt], new: int) -> None:
         """Report those of one status register that came, after acknowledging them. Raises CmError, OSError."""
         now, status = time.monotonic_ns(), sharing[0].status
-        value = self._manager.registers.take_flags(status, _mask(sharing)) if status is not None else 0
+        ours = sum({1 << (interrupt.bit or 0) for interrupt in sharing if interrupt.acknowledge})
+        value = self._manager.registers.take_flags(status, ours) if status is not None else 0
         for interrupt in sharing:
             if status is None or value >> (interrupt.bit or 0) & 1:
                 irq = Irq(interrupt.name, self.latest(interrupt.name).count + new, now)
@@ -150,11 +153,6 @@ class InterruptWatch:
     def _retry(self) -> None:
         self._retrying = False
         self.watch(self.config)
-
-    def _serve_masked(self) -> None:
-        for node, line in list(self._lines.items()):
-            if line.waiting:
-                self._serve(node, line)
 
     def _end(self, node: str, error: OSError) -> None:
         """Its device has gone, as with an overlay; look again in case another overlay brings one."""
@@ -181,8 +179,3 @@ def _by_status(names: list[Interrupt]) -> list[list[Interrupt]]:
     for interrupt in names:
         found.setdefault(interrupt.status, []).append(interrupt)
     return list(found.values())
-
-
-def _mask(sharing: list[Interrupt]) -> int:
-    """The bits that are ours to clear."""
-    return sum({1 << (interrupt.bit or 0) for interrupt in sharing if interrupt.acknowledge})

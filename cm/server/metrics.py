@@ -11,7 +11,7 @@ import logging
 import os
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 
 from prometheus_client import generate_latest
@@ -28,12 +28,51 @@ from cm.server.dispatcher import Dispatcher
 from cm.server.metrics_server import MetricsServer
 from cm.server.request_handlers import Services
 from cm.server.streams.stream import Moved
-from cm.wire.messages.status import SensorStatus, Status
+from cm.wire.messages.status import SensorStatus, Status, StreamStatus
 
 _LOG = logging.getLogger("cm")
 _LAG_EVERY = 0.1  # seconds between two measurements of how late the loop's timers are
 _LAG_SECONDS = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 5.0)
 _UNITS = {"temperature": "celsius", "voltage": "volts", "current": "amperes", "power": "watts"}
+
+_MOVED = {
+    "frames": "Frames that came, or were taken, since the manager's start.",
+    "bytes": "Bytes of these frames, since the manager's start.",
+    "dropped": "Frames times local readers that did not get them, since the manager's start.",
+    "errors": "Transfers that failed, since the manager's start.",
+}
+_STREAM: dict[str, tuple[str, Callable[[StreamStatus], float]]] = {
+    "open": ("Whether it runs.", lambda s: s.open),
+    "frames": ("Frames since it was opened, as cm_status has them.", lambda s: s.frames),
+    "rate": ("Frames per second, over the last second.", lambda s: s.rate),
+    "latency_seconds": (
+        "From a frame's completion until every client had it, median of the last 64.", lambda s: s.latency_us / 1e6,
+    ),
+    "clients": ("Clients on the manager's machine.", lambda s: len(s.clients)),
+    "slots": ("Frame buffers.", lambda s: s.slots),
+}  # fmt: skip
+_CLIENT = {
+    "connections": "Connections over ZeroMQ.",
+    "waiting_bytes": "Bytes of requests that wait, and of replies that were not read.",
+    "unread_bytes": "Bytes of replies that were not read.",
+    "upload_bytes": "Bytes sent in parts and not used yet.",
+    "waiting": "Requests under way that take long.",
+    "memory_bytes": "Bytes of memory for masters in the PL.",
+    "leases": "Leases that it holds.",
+    "slots": "Slots of streams that it may hold.",
+    "requests": "Its requests.",
+}
+_HEALTH = {
+    "checks_total": ("checks", "counter", "Checks of what a region holds."),
+    "upsets_total": ("upsets", "counter", "Bits that were found wrong."),
+    "repairs_total": ("repairs", "counter", "Repairs of regions."),
+    "wrong_bits": ("wrong_bits", "gauge", "Bits that are wrong, by the last check."),
+}
+_LOADS = {
+    "cm_loads_total": ("number", "Images that went through a port."),
+    "cm_loaded_bytes_total": ("bytes", "Their bytes."),
+    "cm_load_seconds_total": ("seconds", "The port's time for them."),
+}
 
 
 class _Page(CollectorRegistry):
@@ -98,32 +137,14 @@ class Metrics:
     def _of_streams(self, status: Status) -> Iterator[Metric]:
         told = {s.name: s for s in status.streams}
         moved = {**dict.fromkeys(told, Moved()), **self._s.streams.moved()}
-        counted: dict[str, tuple[str, Mapping[str, float]]] = {
-            "frames": ("Frames that came, or were taken", {n: m.frames for n, m in moved.items()}),
-            "bytes": ("Bytes of these frames", {n: m.bytes for n, m in moved.items()}),
-            "dropped": ("Frames times local readers that did not get them", {n: m.dropped for n, m in moved.items()}),
-            "errors": ("Transfers that failed", {n: m.errors for n, m in moved.items()}),
-            "overruns": (
-                "Times that a subscriber over ZeroMQ began to lose frames",
-                {n: s.overruns for n, s in told.items()},
-            ),
-        }
-        for name, (text, values) in counted.items():
-            yield by_label(
-                f"cm_stream_{name}_total", "counter", f"{text}, since the manager's start.", "stream", values
-            )
-        now: dict[str, tuple[str, Mapping[str, float]]] = {
-            "open": ("Whether it runs.", {n: s.open for n, s in told.items()}),
-            "frames": ("Frames since it was opened, as cm_status has them.", {n: s.frames for n, s in told.items()}),
-            "rate": ("Frames per second, over the last second.", {n: s.rate for n, s in told.items()}),
-            "latency_seconds": (
-                "From a frame's completion until every client had it, median of the last 64.",
-                {n: s.latency_us / 1e6 for n, s in told.items()},
-            ),
-            "clients": ("Clients on the manager's machine.", {n: len(s.clients) for n, s in told.items()}),
-            "slots": ("Frame buffers.", {n: s.slots for n, s in told.items()}),
-        }
-        for name, (text, values) in now.items():
+        for name, text in _MOVED.items():
+            counts = {stream: getattr(m, name) for stream, m in moved.items()}
+            yield by_label(f"cm_stream_{name}_total", "counter", text, "stream", counts)
+        overruns = {stream: s.overruns for stream, s in told.items()}
+        text = "Times that a subscriber over ZeroMQ began to lose frames, since the manager's start."
+        yield by_label("cm_stream_overruns_total", "counter", text, "stream", overruns)
+        for name, (text, value) in _STREAM.items():
+            values = {stream: float(value(s)) for stream, s in told.items()}
             yield by_label(f"cm_stream_{name}", "gauge", text, "stream", values)
 
     def _of_requests(self) -> Iterator[Metric]:
@@ -142,21 +163,8 @@ class Metrics:
         held_by = self._s.manager.leases.told(), self._s.streams.status(), self._s.streams.allocated()
         told = self._s.clients.told(self._s.connections.counted())
         clients = {client.name: client for client in with_holdings(told, *held_by)}
-        taken: dict[str, tuple[str, Mapping[str, float]]] = {
-            "connections": ("Connections over ZeroMQ.", {n: c.connections for n, c in clients.items()}),
-            "waiting_bytes": (
-                "Bytes of requests that wait, and of replies that were not read.",
-                {n: c.waiting_bytes for n, c in clients.items()},
-            ),
-            "unread_bytes": ("Bytes of replies that were not read.", {n: c.unread_bytes for n, c in clients.items()}),
-            "upload_bytes": ("Bytes sent in parts and not used yet.", {n: c.upload_bytes for n, c in clients.items()}),
-            "waiting": ("Requests under way that take long.", {n: c.waiting for n, c in clients.items()}),
-            "memory_bytes": ("Bytes of memory for masters in the PL.", {n: c.memory_bytes for n, c in clients.items()}),
-            "leases": ("Leases that it holds.", {n: c.leases for n, c in clients.items()}),
-            "slots": ("Slots of streams that it may hold.", {n: c.slots for n, c in clients.items()}),
-            "requests": ("Its requests.", {n: c.requests for n, c in clients.items()}),
-        }
-        for name, (text, values) in taken.items():
+        for name, text in _CLIENT.items():
+            values = {client: getattr(c, name) for client, c in clients.items()}
             yield by_label(f"cm_client_{name}", "gauge", text, "client", values)
         counts = self._s.interrupts.counts
         yield by_label(
@@ -187,18 +195,9 @@ def _of_board(status: Status) -> Iterator[Metric]:
     regions = [({"region": r.name, "module": r.module or "", "state": r.state}, 1) for r in status.regions]
     yield many("cm_region", "gauge", "1 for what each region holds and its state.", regions)
     health = {region.name: region.health for region in status.regions if region.health is not None}
-    for name, kind, text, values in (
-        ("checks_total", "counter", "Checks of what a region holds.", {n: h.checks for n, h in health.items()}),
-        ("upsets_total", "counter", "Bits that were found wrong.", {n: h.upsets for n, h in health.items()}),
-        ("repairs_total", "counter", "Repairs of regions.", {n: h.repairs for n, h in health.items()}),
-        (
-            "wrong_bits",
-            "gauge",
-            "Bits that are wrong, by the last check.",
-            {n: h.wrong_bits for n, h in health.items()},
-        ),
-    ):
-        yield by_label(f"cm_region_{name}", kind, text, "region", values)
+    for name, (field, kind, text) in _HEALTH.items():
+        found = {region: getattr(h, field) for region, h in health.items()}
+        yield by_label(f"cm_region_{name}", kind, text, "region", found)
     rates = {c.name: float(c.rate) for c in status.clocks if c.rate}
     yield by_label("cm_clock_hertz", "gauge", "Clocks of the loaded configuration.", "clock", rates)
 
@@ -213,12 +212,8 @@ def _of_changes(status: Status, counts: ChangeCounts) -> Iterator[Metric]:
     yield single("cm_last_change", "gauge", "Number of the last change that ended.", status.last_change)
     yield single("cm_last_change_seconds", "gauge", "How long it took.", status.last_change_seconds)
     loads = counts.loads
-    for name, text, values in (
-        ("cm_loads_total", "Images that went through a port.", {p: x.number for p, x in loads.items()}),
-        ("cm_loaded_bytes_total", "Their bytes.", {p: x.bytes for p, x in loads.items()}),
-        ("cm_load_seconds_total", "The port's time for them.", {p: x.seconds for p, x in loads.items()}),
-    ):
-        yield by_label(name, "counter", text, "port", values)
+    for name, (field, text) in _LOADS.items():
+        yield by_label(name, "counter", text, "port", {port: getattr(x, field) for port, x in loads.items()})
 
 
 def _of_sensors(sensors: tuple[SensorStatus, ...]) -> Iterator[Metric]:

@@ -25,7 +25,7 @@ from zmq import zmq_poll
 from cm._version import __version__
 from cm.manager.manager import Manager
 from cm.manager.status_reports import Moment
-from cm.schema.model import ITEM_BYTES, Config, Stream
+from cm.schema.model import ITEM_BYTES, Config
 from cm.server.interrupts import InterruptWatch
 from cm.server.settings.model import StreamSettings
 from cm.server.sockets import Loop
@@ -57,18 +57,12 @@ _FRAME_TOPICS = (topics.READ_DATA, topics.DATA_READ)
 
 def mark(configs: Iterable[Config], limit: int) -> int:
     """How many messages may wait for one subscriber: the longest frames of `configs` stay within `limit` bytes."""
-    longest = max((_frame_bytes(stream) for config in configs for stream in _streams(config)), default=0)
-    return max(_FEWEST, min(_MOST, limit // max(longest, _FLAT)))
-
-
-def _streams(config: Config) -> Iterable[Stream]:
-    yield from config.streams.values()
-    for mode in config.modes.values():
-        yield from mode.streams.values()
-
-
-def _frame_bytes(stream: Stream) -> int:
-    return math.prod(stream.shape) * ITEM_BYTES.get(stream.dtype, 16) if stream.shape else 0
+    longest = _FLAT
+    for config in configs:
+        for streams in (config.streams, *(mode.streams for mode in config.modes.values())):
+            sizes = [math.prod(s.shape) * ITEM_BYTES.get(s.dtype, 16) for s in streams.values() if s.shape]
+            longest = max([longest, *sizes])
+    return max(_FEWEST, min(_MOST, limit // longest))
 
 
 class Kept:
@@ -396,11 +390,8 @@ class StatusTold:
         self._moments.append(self._manager.reporter.moment())
         if not self._collecting:
             self._collecting = True
-            self._loop.call_threadsafe(self._publish_and_collect)
-
-    def _publish_and_collect(self) -> None:
-        self._publish_moments()
-        self._loop.call_later(_TOGETHER, self._publish_collected)
+            self._loop.call_threadsafe(self._publish_moments)
+            self._loop.call_threadsafe(lambda: self._loop.call_later(_TOGETHER, self._publish_collected))
 
     def _publish_collected(self) -> None:
         self._collecting = False  # before looking: whoever saw it set has put its moment there
@@ -410,16 +401,13 @@ class StatusTold:
         while self._moments:
             moment = self._moments.popleft()
             if not moment.running:
-                self._watch_interrupts()
+                config = self._manager.loaded_config()
+                if self._interrupts.incomplete or config is not self._interrupts.config:
+                    self._interrupts.watch(config)
                 self.at_rest()
             if self._publisher.status(partial(self.status, moment)):
                 self._manager.reporter.was_read()
             self._publisher.log(moment.error, moment.last[0])
-
-    def _watch_interrupts(self) -> None:
-        config = self._manager.loaded_config()
-        if self._interrupts.incomplete or config is not self._interrupts.config:
-            self._interrupts.watch(config)
 
 
 def _topics(stream: str) -> tuple[bytes, ...]:

@@ -115,7 +115,8 @@ class Reloader:
         hidden = self._ours - found.configs.keys()
         gone = hidden - standing.keys() if found.whole else frozenset()
         kept = frozenset() if found.whole else hidden
-        new = {name: config for name, config in standing.items() if name not in kept and self._differs(config)}
+        known = {name: (config.source, config.sha256_source) for name, config in self._s.manager.configs.items()}
+        new = {n: c for n, c in standing.items() if n not in kept and known.get(n) != (c.source, c.sha256_source)}
         self._waiting = {**dict.fromkeys(gone), **new}
         self._ours = (self._ours - gone) | found.configs.keys()
         self.continue_waiting()
@@ -128,10 +129,6 @@ class Reloader:
             _LOG.warning("%s", note)
         _LOG.info("reloaded; configurations: %s", ", ".join(found.configs) or "none")
         self._s.service.ready()
-
-    def _differs(self, config: Config) -> bool:
-        known = self._s.manager.configs.get(config.name)
-        return known is None or (known.source, known.sha256_source) != (config.source, config.sha256_source)
 
     def continue_waiting(self) -> None:
         """Apply schemas that wait and whose configuration is no longer in use; called now and then."""

@@ -6,8 +6,7 @@ from __future__ import annotations
 import mmap
 import os
 import time
-from collections.abc import Callable, Iterable
-from functools import partial
+from collections.abc import Callable
 from pathlib import Path
 from typing import ClassVar
 
@@ -141,11 +140,7 @@ class Uploads:
             asked.request = replace(request, files=tuple(files))
         else:
             return
-        asked.if_accepted = partial(self._use_up, client, names)
-
-    def _use_up(self, client: Client, names: Iterable[str]) -> None:
-        for name in names:
-            self._drop((client.name, name))
+        asked.if_accepted = lambda: [*map(self._drop, [(client.name, name) for name in names])]
 
     def _view(self, client: Client, name: str) -> memoryview:
         found = self._there.get((client.name, name))

@@ -53,7 +53,8 @@ class OpenWindows:
             raise Busy(f"a user has at most {EACH} windows, all together {MOST}; give one back")
         client = _Client(connection.dup(), wanted, peer)
         self._clients.append(client)
-        self._loop.add(client.connection.fileno(), partial(self._heard, client))
+        # It hangs up, or breaks the rules: there is nothing to be said over such a connection.
+        self._loop.add(client.connection.fileno(), partial(self._forget, client))
         try:
             self._try(client)
         except BaseException:
@@ -98,10 +99,6 @@ class OpenWindows:
                     code = error.code if isinstance(error, CmError) else "device_error"
                     client.connection.send(encode_refused(code, str(error)), socket.MSG_NOSIGNAL)
                 self._forget(client)
-
-    def _heard(self, client: _Client) -> None:
-        """It has hung up, or broken the rules: there is nothing to be said over such a connection."""
-        self._forget(client)
 
     def _forget(self, client: _Client) -> None:
         if client not in self._clients:

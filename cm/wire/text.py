@@ -49,17 +49,12 @@ def parse_config(payload: bytes) -> ChangeMode:
     return ChangeMode(name_or_mode=word)
 
 
-def parse_registers(payload: bytes) -> WriteReg:
-    """``{ 'focus':0x2}`` → the writes in their order. Values are integers or true/false.
-
-    Raises InvalidRequest; TooLong, TooMany and NameTooLong for what no request may hold. Read entry by
-    entry, in a time proportional to the length of the text.
-    """
-    return bounds.in_one_go(in_slices(payload))
-
-
 def in_slices(payload: bytes) -> Generator[None, None, WriteReg]:
-    """The same, some entries with each `next`."""
+    """``{ 'focus':0x2}`` → the writes in their order, some with each `next`. Values are integers or true/false.
+
+    Raises InvalidRequest; TooLong, TooMany and NameTooLong for what no request may hold. Takes a time proportional to
+    the length of the text.
+    """
     bounds.check_length("cm_write_reg", payload)
     try:
         text = payload.strip().decode("utf-8")

@@ -100,7 +100,8 @@ class Gate:
         rights = self.rights(who.id)
         if rights.role == Role.NONE or (publishes and rights.everywhere < Role.OBSERVE):
             known = self.principal(who.id) if who.id else replace(NOBODY, address=address)
-            said = f"refused: {known} is not let in{_where(publishes)}"
+            where = " to publications, which need the right to observe everything" if publishes else ""
+            said = f"refused: {known} is not let in{where}"
             self.audit.note(who.account, f"enter {publishes}", lambda: said, logging.WARNING)
             return None
         if self._origins is not None and who.address:
@@ -180,10 +181,6 @@ class Gate:
     def check(self, connection: str, *needs: Need) -> None:
         """Raise Forbidden for what is not allowed."""
         check(self.principal(connection), self.rights(connection), *needs)
-
-
-def _where(publishes: str) -> str:
-    return " to publications, which need the right to observe everything" if publishes else ""
 
 
 def check(who: Principal, rights: Rights, *needs: Need) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from enum import IntEnum
 from fnmatch import fnmatchcase
 from types import MappingProxyType
+from typing import Any
 
 from cm.frozen import dataclass, field, replace
 
@@ -63,18 +64,15 @@ class Grant:
 
     def allows(self, need: Need) -> bool:
         """Whether this grant alone is enough."""
+        register = need.register and need.register.partition(".")[0]
         return (
             self.role >= need.role
             and _match(need.topic, self.topics)
             and _match(need.config, self.configs)
             and _match(need.region, self.regions)
-            and (_match(need.register, self.registers) or _match(_register_of(need.register), self.registers))
+            and (_match(need.register, self.registers) or _match(register, self.registers))
             and _match(need.data, self.data)
         )
-
-
-def _register_of(name: str | None) -> str | None:
-    return name.partition(".")[0] if name else name
 
 
 def _match(name: str | None, patterns: tuple[str, ...]) -> bool:
@@ -128,11 +126,8 @@ class AuthorizedKey:
     until: float | None = None  # CLOCK_REALTIME seconds
 
 
-def _empty() -> Mapping[str, tuple[str, ...]]:
-    return MappingProxyType({})
-
-
-def _no_roles() -> Mapping[str, Grant]:
+def empty() -> Mapping[str, Any]:
+    """The default of mappings."""
     return MappingProxyType({})
 
 
@@ -149,10 +144,10 @@ class Access:
     group: str = ""
     local: tuple[str, ...] = ("provision",)
     insecure: tuple[str, ...] = ("provision",)
-    users: Mapping[str, tuple[str, ...]] = field(default_factory=_empty)
-    groups: Mapping[str, tuple[str, ...]] = field(default_factory=_empty)
-    guests: Mapping[str, tuple[str, ...]] = field(default_factory=_empty)
-    roles: Mapping[str, Grant] = field(default_factory=_no_roles)
+    users: Mapping[str, tuple[str, ...]] = field(default_factory=empty)
+    groups: Mapping[str, tuple[str, ...]] = field(default_factory=empty)
+    guests: Mapping[str, tuple[str, ...]] = field(default_factory=empty)
+    roles: Mapping[str, Grant] = field(default_factory=empty)
     keys: tuple[AuthorizedKey, ...] = ()
 
     @property

@@ -5,10 +5,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from types import MappingProxyType
 
 from cm.frozen import dataclass, field
-from cm.server.rights.model import Grant
+from cm.server.rights.model import Grant, empty
 
 FILE = Path("/etc/cm/cm.yaml")
 SEARCH_PATH = ("/etc/cm/configs", "/lib/firmware/cm/*")
@@ -40,10 +39,6 @@ class ScrubSettings:
     policy: str = "repair"
 
 
-def _no_regions() -> Mapping[str, ScrubSettings]:
-    return MappingProxyType({})
-
-
 @dataclass(frozen=True, slots=True)
 class RecordSettings:
     """The black box (`cm record --settings`), as the command has it; without `ring` there is none."""
@@ -73,14 +68,6 @@ class PolicySettings:
     older: str = "allow"
 
 
-def _nobody() -> Mapping[str, tuple[str, ...]]:
-    return MappingProxyType({})
-
-
-def _no_roles() -> Mapping[str, Grant]:
-    return MappingProxyType({})
-
-
 @dataclass(frozen=True, slots=True)
 class AccessSettings:
     """Who may do what (`cm.server.rights.model.Access`); `keys` is the folder of authorized keys."""
@@ -88,10 +75,10 @@ class AccessSettings:
     group: str = ""
     local: tuple[str, ...] = ("provision",)
     insecure: tuple[str, ...] = ("provision",)
-    users: Mapping[str, tuple[str, ...]] = field(default_factory=_nobody)
-    groups: Mapping[str, tuple[str, ...]] = field(default_factory=_nobody)
-    guests: Mapping[str, tuple[str, ...]] = field(default_factory=_nobody)
-    roles: Mapping[str, Grant] = field(default_factory=_no_roles)
+    users: Mapping[str, tuple[str, ...]] = field(default_factory=empty)
+    groups: Mapping[str, tuple[str, ...]] = field(default_factory=empty)
+    guests: Mapping[str, tuple[str, ...]] = field(default_factory=empty)
+    roles: Mapping[str, Grant] = field(default_factory=empty)
     keys: Path | None = None
 
 
@@ -127,7 +114,7 @@ class Settings:
     log: str = "warning"
     streams: StreamSettings = StreamSettings()
     dma: DmaSettings = DmaSettings()
-    scrub: Mapping[str, ScrubSettings] = field(default_factory=_no_regions)
+    scrub: Mapping[str, ScrubSettings] = field(default_factory=empty)
     record: RecordSettings = RecordSettings()
     imports: ImportSettings = ImportSettings()
     policy: PolicySettings = PolicySettings()

@@ -67,7 +67,9 @@ class MemoryBudget:
         held = [size for who, size in self._open.values() if who.uid == peer.uid]
         used = sum(size for _, size in self._open.values())
         if used + length > self._most:
-            raise Busy(f"{self._what} is {self._most >> 20} MiB together; {used} bytes are taken ({self._holders()})")
+            most = [f"pid {peer.pid} ({peer.name}) has {size}" for peer, size in self.held().most_common(4)]
+            taken = f"{used} bytes are taken ({', '.join(most) or 'by nobody'})"
+            raise Busy(f"{self._what} is {self._most >> 20} MiB together; {taken}")
         if sum(held) + length > self._each:
             raise Busy(
                 f"{self._what} is {self._each >> 20} MiB for one user (limits.memory_mib); "
@@ -90,10 +92,6 @@ class MemoryBudget:
         for peer, size in self._open.values():
             found[peer] += size
         return found
-
-    def _holders(self) -> str:
-        most = self.held().most_common(4)
-        return ", ".join(f"pid {peer.pid} ({peer.name}) has {size}" for peer, size in most) or "by nobody"
 
 
 Take = Callable[[int], DeviceMemory]
@@ -245,9 +243,5 @@ class Echoes:
         stream, fds = self._open.pop(client, (0, []))
         if stream:
             self._plane.stop(stream)
-            self._thread.run(lambda: _close(fds))  # frees the memory if the client has unmapped it
-
-
-def _close(fds: list[int]) -> None:
-    for fd in fds:
-        os.close(fd)
+            for fd in fds:  # its memory is freed if the client has unmapped it
+                self._thread.run(partial(os.close, fd))

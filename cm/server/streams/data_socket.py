@@ -93,13 +93,11 @@ class AwaitingOpen:
             return
         held = Counter(self._waiting.values())
         if held[name] >= WAITING * 3 // 4 or held.total() >= WAITING:
-            self._make_room(name if held[name] >= WAITING * 3 // 4 else held.most_common(1)[0][0])
+            most = name if held[name] >= WAITING * 3 // 4 else held.most_common(1)[0][0]
+            self._forget(next(one for one, whose in self._waiting.items() if whose == most)).close()
         connection.setblocking(False)
         self._waiting[connection] = name
         self._loop.add(connection.fileno(), lambda: self._first(connection))
-
-    def _make_room(self, name: str) -> None:
-        self._forget(next(one for one, whose in self._waiting.items() if whose == name)).close()
 
     def _forget(self, connection: socket.socket) -> socket.socket:
         self._loop.remove(connection.fileno())
@@ -195,7 +193,9 @@ class DataSocket:
         try:
             with connection, suppress(OSError):
                 try:
-                    yield from self._admit(connection, decode_open(packet))
+                    wanted = decode_open(packet)
+                    self._sessions.check_open(connection, wanted)
+                    yield from self._serves[wanted.purpose](connection, wanted, Peer.of(connection)) or ()
                 except CmError as error:
                     connection.send(encode_refused(error.code, str(error)))
                 except OSError as error:
@@ -203,10 +203,6 @@ class DataSocket:
         finally:
             self._queued.pop(connection, None)
             del self._under_way[connection]
-
-    def _admit(self, connection: socket.socket, wanted: Open) -> Iterator[object]:
-        self._sessions.check_open(connection, wanted)
-        yield from self._serves[wanted.purpose](connection, wanted, Peer.of(connection)) or ()
 
     def close(self) -> None:
         """Close all connections that have not been served yet."""

@@ -239,20 +239,18 @@ class ZmqWriter(ZmqClient):
     def _take(self, packet: Descriptor) -> None:
         if packet.kind == packets.DONE:
             self._done(packet)
-        if packet.kind == packets.GRANT or (packet.kind == packets.DONE and not self._keeps(packet)):
+        repeated = self._stream.setup.cyclic and packet.offset == 0  # by the hardware, so that its slot is not free yet
+        if packet.kind == packets.GRANT or (packet.kind == packets.DONE and not repeated):
             self._free.append(packet)
             self._send()
-
-    def _keeps(self, packet: Descriptor) -> bool:
-        """Whether the hardware repeats the frame, so that its slot is not free yet."""
-        return self._stream.setup.cyclic and packet.offset == 0
 
     def _done(self, packet: Descriptor) -> None:
         done, timer = self._under_way.pop(packet.slot)
         timer.cancel()
         self._used_at = time.monotonic()
         if packet.offset:
-            done(_failure(self._stream.stream.name, packet.offset))
+            name, why = self._stream.stream.name, os.strerror(packet.offset)
+            done(TransferFailed(f"stream {name!r}: the DMA reported {why}"))
         else:
             done(Frame(self._stream.info(packet), memoryview(b"")))
 
@@ -266,7 +264,3 @@ class ZmqWriter(ZmqClient):
             done(stopped)
         self._under_way.clear()
         self._waiting.clear()
-
-
-def _failure(stream: str, number: int) -> CmError:
-    return TransferFailed(f"stream {stream!r}: the DMA reported {os.strerror(number)}")

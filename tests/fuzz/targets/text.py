@@ -6,7 +6,8 @@ from __future__ import annotations
 from contextlib import suppress
 
 from cm.errors import InvalidRequest
-from cm.wire.text import is_mapping, is_word, parse_config, parse_registers
+from cm.wire import bounds
+from cm.wire.text import in_slices, is_mapping, is_word, parse_config
 
 PACKAGES = ("cm.wire.text",)
 MAX_LENGTH = 70_000  # a little more than is read
@@ -26,6 +27,6 @@ def one(data: bytes) -> None:
     with suppress(InvalidRequest):
         assert parse_config(data).mode or is_word(data)
     with suppress(InvalidRequest):
-        request = parse_registers(data)
+        request = bounds.in_one_go(in_slices(data))
         assert all(isinstance(write.value, int) for write in request.writes)
         assert is_mapping(data) or not data.lstrip().startswith(b"{")

@@ -16,7 +16,7 @@ from cm.wire import bounds
 from cm.wire import cm_pb2 as pb
 from cm.wire.decode import decode_request
 from cm.wire.messages.requests import ReadData, RegWrite, WriteReg
-from cm.wire.text import parse_registers
+from cm.wire.text import in_slices
 
 PAGE = Path(cm.__file__).resolve().parents[1] / "docs" / "limits.md"
 
@@ -80,7 +80,7 @@ def test_requests_of_the_maximum_length_are_accepted() -> None:
     ],
 )
 def test_a_mapping_is_read_as_python_and_json_spell_it(text: bytes, values: dict[str, int]) -> None:
-    assert parse_registers(text).writes == tuple(RegWrite(name, value) for name, value in values.items())
+    assert bounds.in_one_go(in_slices(text)).writes == tuple(RegWrite(name, value) for name, value in values.items())
 
 
 WRONG = (
@@ -92,7 +92,7 @@ WRONG = (
 @pytest.mark.parametrize("text", WRONG)
 def test_what_is_not_a_mapping_of_integers_is_refused(text: bytes) -> None:
     with pytest.raises(InvalidRequest, match="cm_write_reg: "):
-        parse_registers(text)
+        bounds.in_one_go(in_slices(text))
 
 
 def test_a_text_is_read_in_a_single_pass_whatever_it_contains(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -101,7 +101,7 @@ def test_a_text_is_read_in_a_single_pass_whatever_it_contains(monkeypatch: pytes
     check = bounds.check_count
     monkeypatch.setattr(bounds, "check_count", lambda *a: (calls.append(a[2]), check(*a)))
     with pytest.raises(bounds.TooMany):
-        parse_registers(mapping(5000))
+        bounds.in_one_go(in_slices(mapping(5000)))
     assert calls == list(range(1, bounds.ENTRIES + 2))
 
 
