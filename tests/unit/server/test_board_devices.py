@@ -309,7 +309,7 @@ def test_a_board_that_was_started_anew_is_begun_with_once_it_answers(
     assert caplog.messages == ["the board is back but does not answer yet: no answer"] * 2
     board.fails = {"begin": UnknownConfig("no configuration 'camera'")}  # which was removed meanwhile
     assert [board.look() for _ in range(2)] == [ANEW, []]
-    assert caplog.messages[2:] == ["the board was started anew, and nothing is loaded: no configuration 'camera'"]
+    assert caplog.messages[2:] == ["the board was restarted, and nothing is loaded: no configuration 'camera'"]
 
 
 def test_what_was_lost_in_a_sleep_is_seen_to_after_a_change_and_until_it_succeeds(
