@@ -14,8 +14,8 @@ from cm.cli.commands import missing
 _DESCRIPTION = (
     "The build tool. `init` writes a first build schema, `check` reports what it finds in "
     "the HDL, `generate` writes everything that the vendor's tools and the target need, "
-    "`configure` asks for decisions that only you can make, `run` runs the flow (with "
-    "`pack` and `unpack` on another host), and `collect` packs the results for the target."
+    "`configure` asks for decisions that only you can make, `run` runs the flow, and "
+    "`collect` packs the results for the target."
     " Most take the name of the build schema, by default build.yaml."
 )
 # action → the module that has it, and its help; only the module of the action that is used is imported
@@ -26,8 +26,6 @@ _ACTIONS = {
     "generate": ("generate", "write wrappers, static part, Tcl, overlays, symbols and the runtime schema"),
     "configure": ("generate", "ask for the decisions that the runtime schema needs"),
     "run": ("run", "run the flow, in Vivado or with open tools, as far as inputs have changed"),
-    "pack": ("run", "pack the generated flow with everything it reads for a host with Vivado"),
-    "unpack": ("run", "unpack the results of a packed flow"),
     "collect": ("collect", "make a configuration for the target from bitstreams and hardware descriptions"),
     "partition": ("partition", "propose regions, and which modules share one"),
     "tools": ("run", "show which open tools are found, or fetch them"),

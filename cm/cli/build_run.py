@@ -18,8 +18,6 @@ from cm.design.openflow.placement_attempt import Settings
 from cm.design.openflow.rules import refuse_open
 from cm.design.openflow.tools import fetch_tools, find_tools
 from cm.design.project.load import load_project
-from cm.design.project.model import Project
-from cm.design.run.archive import pack, unpack
 from cm.design.run.flow import Flow, Planned, State
 from cm.design.run.make import run_flow
 from cm.design.run.vivado import find_vivado
@@ -156,66 +154,3 @@ def _print_plan(planned: Sequence[Planned], stale: str, as_json: bool) -> None:
         State.LOST: "to run: an output is gone",
     }
     print_table([(p.step.name, words[p.state], p.step.title) for p in planned], ("step", "state", "what"))
-
-
-def fill_pack(parser: argparse.ArgumentParser) -> None:
-    """Describe the action."""
-    parser.description = (
-        "Pack the generated flow with everything it reads for a host with Vivado. That host needs neither "
-        "this package nor Python: extract the archive, run make in its build folder, then make back, and pass "
-        "back.tar.gz to cm build unpack."
-    )
-    add_schema_argument(parser)
-    add_out_option(parser)
-    parser.add_argument("-f", "--file", type=Path, metavar="FILE", help="the archive (default: NAME-flow.tar.gz)")
-    more = "only this module in its region's abstract shell, nothing of the static design (may be repeated)"
-    parser.add_argument("--module", action="append", default=[], metavar="NAME", help=more)
-    add_json_option(parser, run_pack)
-
-
-def fill_unpack(parser: argparse.ArgumentParser) -> None:
-    """Describe the action."""
-    parser.description = (
-        "Take stamps, logs, reports, checkpoints and bitstreams of an archive (make back) or of a folder"
-        " that was copied back. Nothing is taken if a file that the steps read has changed since it was packed."
-    )
-    parser.add_argument("source", type=Path, metavar="BACK", help="back.tar.gz, or the folder")
-    add_schema_argument(parser)
-    add_out_option(parser)
-    add_json_option(parser, run_unpack)
-
-
-def run_pack(args: argparse.Namespace) -> int:
-    """Write the archive."""
-    design = load_design(args.schema)
-    project, out = design.project, output_folder(design.project, args.out)
-    refuse_stale(behind(design, out)[:3], out)
-    archive = args.file or Path(f"{'-'.join([project.name, *args.module])}-flow.tar.gz")
-    done = pack(out, project.name, _folders(project, args.module), archive.absolute(), args.module)
-    text = (
-        f"{archive}: {done.files} files, steps {', '.join(done.steps)}\n"
-        "there: tar -xf it, make -j4 VIVADO=/path/to/vivado in the folder with pack.json, make back\n"
-        "here: cm build unpack back.tar.gz"
-    )
-    return answer(args, {"archive": str(archive), "steps": list(done.steps), "files": done.files}, text)
-
-
-def _folders(project: Project, modules: list[str]) -> list[Path]:
-    """Folders that steps read as a whole: include folders, and those of IP."""
-    found = [] if modules else list(project.static.include_dirs)
-    for module in project.modules.values():
-        names = {module.name, *(f"{module.name}_{region}" for region in module.regions)}
-        if modules and not names & set(modules):
-            continue
-        found += [*module.include_dirs, *module.ip_repositories, *(path.parent for path in module.ip)]
-    return list(dict.fromkeys(found))
-
-
-def run_unpack(args: argparse.Namespace) -> int:
-    """Take back what came."""
-    out = output_folder(load_project(args.schema), args.out)
-    found = unpack(args.source, out)
-    lines = [f"{out}: {found.files} files of {len(found.done)} steps"]
-    lines += [f"note: step {name} was not run to its end there" for name in found.left]
-    answer(args, {"done": found.done, "left": found.left, "files": found.files}, "\n".join(lines))
-    return 1 if found.left else 0

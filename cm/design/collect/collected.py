@@ -8,9 +8,11 @@ Overlay sources → .dtbo, by dtc if it is installed.
 
 from __future__ import annotations
 
+import gzip
 import io
 import shutil
 import subprocess
+import tarfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +21,6 @@ from cm.design.collect.handoff import Handoff
 from cm.design.collect.images import Image
 from cm.design.errors import BuildError
 from cm.design.generate.output_tree import write_whole
-from cm.design.run.archive import write_tar
 from cm.schema.model import Config
 
 HEAD = "# SPDX-License-Identifier: Apache-2.0\n# Written by cm build collect.\n"
@@ -62,7 +63,11 @@ def write_folder(folder: Path, files: Mapping[str, bytes]) -> None:
 def archive(name: str, files: Mapping[str, bytes]) -> bytes:
     """A .tar.gz with ``<name>/…``: sorted, without times and owners."""
     packed = io.BytesIO()
-    write_tar(packed, {f"{name}/{path}": data for path, data in files.items()})
+    with gzip.GzipFile("", "wb", 9, packed, 0) as zipped, tarfile.open(None, "w", zipped) as tar:
+        for path, data in sorted(files.items()):
+            info = tarfile.TarInfo(f"{name}/{path}")
+            info.mode, info.size = 0o644, len(data)
+            tar.addfile(info, io.BytesIO(data))
     return packed.getvalue()
 
 
