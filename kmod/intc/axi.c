@@ -7,7 +7,6 @@
 #include <linux/clk.h>
 #include <linux/interrupt.h>
 #include <linux/io.h>
-#include <linux/irq.h>
 #include <linux/irqchip/chained_irq.h>
 #include <linux/irqdomain.h>
 #include <linux/of.h>
@@ -30,25 +29,20 @@
 
 /**
  * struct axi_intc - a controller
+ * @base: its inputs; edges as it was built (C_KIND_OF_INTR)
  * @registers: registers
- * @domain: of its inputs
- * @count: inputs
- * @edges: a bit for each that is an edge, as it was built (C_KIND_OF_INTR)
  * @parent: line of its output
- * @taken: inputs that were requested
  */
 struct axi_intc {
+	struct cm_intc base;
 	void __iomem *registers;
-	struct irq_domain *domain;
-	u32 count;
-	u32 edges;
 	int parent;
-	atomic_t taken;
 };
 
 static void write_bit(struct irq_data *data, u32 at)
 {
-	struct axi_intc *intc = irq_data_get_irq_chip_data(data);
+	struct axi_intc *intc = container_of(irq_data_get_irq_chip_data(data),
+					     struct axi_intc, base);
 
 	writel(BIT(irqd_to_hwirq(data)), intc->registers + at);
 }
@@ -71,48 +65,13 @@ static void axi_unmask(struct irq_data *data)
 	write_bit(data, SIE);
 }
 
-static int axi_request_resources(struct irq_data *data)
-{
-	struct axi_intc *intc = irq_data_get_irq_chip_data(data);
-
-	if (!try_module_get(THIS_MODULE))
-		return -ENODEV;
-	atomic_inc(&intc->taken);
-	return 0;
-}
-
-static void axi_release_resources(struct irq_data *data)
-{
-	struct axi_intc *intc = irq_data_get_irq_chip_data(data);
-
-	atomic_dec(&intc->taken);
-	module_put(THIS_MODULE);
-}
-
 static struct irq_chip axi_chip = {
 	.name = "cm_axi_intc",
 	.irq_mask = axi_mask,
 	.irq_ack = axi_ack,
 	.irq_unmask = axi_unmask,
-	.irq_request_resources = axi_request_resources,
-	.irq_release_resources = axi_release_resources,
-};
-
-static int axi_map(struct irq_domain *domain, unsigned int irq, irq_hw_number_t input)
-{
-	struct axi_intc *intc = domain->host_data;
-	bool edge = intc->edges & BIT(input);
-
-	irq_set_chip_and_handler(irq, &axi_chip, edge ? handle_edge_irq : handle_level_irq);
-	irq_set_chip_data(irq, intc);
-	irq_set_status_flags(irq, IRQ_NOPROBE | (edge ? 0 : IRQ_LEVEL));
-	return 0;
-}
-
-static const struct irq_domain_ops axi_domain_ops = {
-	.map = axi_map,
-	/* the second cell repeats what the core was built with */
-	.xlate = irq_domain_xlate_onetwocell,
+	.irq_request_resources = cm_intc_request_resources,
+	.irq_release_resources = cm_intc_release_resources,
 };
 
 static void axi_handle(struct irq_desc *desc)
@@ -125,18 +84,21 @@ static void axi_handle(struct irq_desc *desc)
 	chained_irq_enter(chip, desc);
 	/* not by IPR and IVR, which a core may be built without */
 	pending = readl(intc->registers + ISR) & readl(intc->registers + IER);
-	for_each_set_bit(input, &pending, intc->count)
-		generic_handle_domain_irq(intc->domain, input);
+	for_each_set_bit(input, &pending, intc->base.count)
+		generic_handle_domain_irq(intc->base.domain, input);
 	chained_irq_exit(chip, desc);
 }
 
 static int axi_start(struct axi_intc *intc, struct fwnode_handle *node)
 {
+	int ret;
+
 	writel(0, intc->registers + IER);
 	writel(~0, intc->registers + IAR);
-	intc->domain = irq_domain_create_linear(node, intc->count, &axi_domain_ops, intc);
-	if (!intc->domain)
-		return -ENOMEM;
+	intc->base.chip = &axi_chip;
+	ret = cm_intc_add(&intc->base, node);
+	if (ret)
+		return ret;
 	writel(MER_ENABLE, intc->registers + MER);
 	irq_set_chained_handler_and_data(intc->parent, axi_handle, intc);
 	return 0;
@@ -147,10 +109,7 @@ static bool axi_stop(struct axi_intc *intc)
 {
 	irq_set_chained_handler_and_data(intc->parent, NULL, NULL);
 	writel(0, intc->registers + MER);
-	if (!cm_intc_unused(&intc->taken))
-		return false;
-	cm_intc_remove_domain(intc->domain, intc->count);
-	return true;
+	return cm_intc_remove(&intc->base);
 }
 
 static void axi_end(void *data)
@@ -177,13 +136,13 @@ static int start_clock(struct device *dev)
 static int axi_describe(struct platform_device *pdev, struct axi_intc *intc)
 {
 	struct device *dev = &pdev->dev;
-	int ret = of_property_read_u32(dev->of_node, "xlnx,num-intr-inputs", &intc->count);
+	int ret = of_property_read_u32(dev->of_node, "xlnx,num-intr-inputs", &intc->base.count);
 
-	if (!ret && (!intc->count || intc->count > INPUTS_MAX))
+	if (!ret && (!intc->base.count || intc->base.count > INPUTS_MAX))
 		ret = -EINVAL;
 	if (ret)
 		return dev_err_probe(dev, ret, "xlnx,num-intr-inputs is not 1 to %u\n", INPUTS_MAX);
-	of_property_read_u32(dev->of_node, "xlnx,kind-of-intr", &intc->edges);
+	of_property_read_u32(dev->of_node, "xlnx,kind-of-intr", &intc->base.edges);
 	intc->parent = platform_get_irq(pdev, 0);
 	if (intc->parent < 0)
 		return intc->parent;

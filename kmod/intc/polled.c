@@ -17,7 +17,6 @@
 #include <linux/hrtimer.h>
 #include <linux/interrupt.h>
 #include <linux/io.h>
-#include <linux/irq.h>
 #include <linux/irqdomain.h>
 #include <linux/of.h>
 #include <linux/platform_device.h>
@@ -64,6 +63,7 @@ struct polled_line {
 
 /**
  * struct polled_intc - a controller
+ * @base: its lines, which are levels
  * @lock: protects @timer, @next, @gone, @looks and the lines; inside the lock of a descriptor
  * @timer: looks
  * @next: when, while @timer is queued
@@ -72,12 +72,10 @@ struct polled_line {
  * @pending: bits of a status word with which the line's handlers run
  * @idle: bits of which one says that nothing is under way
  * @looks: words read
- * @taken: lines that were requested
- * @domain: of the lines
- * @count: lines
- * @lines: lines
+ * @lines: what each line tells
  */
 struct polled_intc {
+	struct cm_intc base;
 	raw_spinlock_t lock; /* protects timer, next, gone, looks and lines */
 	struct hrtimer timer;
 	ktime_t next;
@@ -86,9 +84,6 @@ struct polled_intc {
 	u32 pending;
 	u32 idle;
 	u64 looks;
-	atomic_t taken;
-	struct irq_domain *domain;
-	u32 count;
 	struct polled_line lines[LINES_MAX];
 };
 
@@ -141,21 +136,26 @@ static enum hrtimer_restart fire(struct hrtimer *timer)
 	u32 i;
 
 	raw_spin_lock(&intc->lock);
-	for (i = 0; i < intc->count; i++) {
+	for (i = 0; i < intc->base.count; i++) {
 		struct polled_line *line = &intc->lines[i];
 
 		if (line->watched && line->busy && look(intc, line, now))
 			due |= BIT(i);
 	}
 	raw_spin_unlock(&intc->lock);
-	for_each_set_bit(i, &due, intc->count)
-		generic_handle_domain_irq(intc->domain, i);
+	for_each_set_bit(i, &due, intc->base.count)
+		generic_handle_domain_irq(intc->base.domain, i);
 	return HRTIMER_NORESTART;
+}
+
+static struct polled_intc *controller(struct irq_data *data)
+{
+	return container_of(irq_data_get_irq_chip_data(data), struct polled_intc, base);
 }
 
 static struct polled_line *lock_line(struct irq_data *data, unsigned long *flags)
 {
-	struct polled_intc *intc = irq_data_get_irq_chip_data(data);
+	struct polled_intc *intc = controller(data);
 
 	raw_spin_lock_irqsave(&intc->lock, *flags);
 	return &intc->lines[irqd_to_hwirq(data)];
@@ -163,7 +163,7 @@ static struct polled_line *lock_line(struct irq_data *data, unsigned long *flags
 
 static void unlock_line(struct irq_data *data, struct polled_line *line, unsigned long flags)
 {
-	struct polled_intc *intc = irq_data_get_irq_chip_data(data);
+	struct polled_intc *intc = controller(data);
 
 	if (line->watched && line->busy)
 		look_again(intc, line, ktime_get());
@@ -205,53 +205,18 @@ static int polled_set_state(struct irq_data *data, enum irqchip_irq_state which,
 	return 0;
 }
 
-/* who has a line keeps the module */
-static int polled_request_resources(struct irq_data *data)
-{
-	struct polled_intc *intc = irq_data_get_irq_chip_data(data);
-
-	if (!try_module_get(THIS_MODULE))
-		return -ENODEV;
-	atomic_inc(&intc->taken);
-	return 0;
-}
-
-static void polled_release_resources(struct irq_data *data)
-{
-	struct polled_intc *intc = irq_data_get_irq_chip_data(data);
-
-	atomic_dec(&intc->taken);
-	module_put(THIS_MODULE);
-}
-
 static struct irq_chip polled_chip = {
 	.name = "cm_polled",
 	.irq_mask = polled_mask,
 	.irq_unmask = polled_unmask,
 	.irq_set_irqchip_state = polled_set_state,
-	.irq_request_resources = polled_request_resources,
-	.irq_release_resources = polled_release_resources,
-};
-
-/*
- * A level: masked until its handlers, threads too, have ended; a bit that none
- * of them clears is "nobody cared" as with a wire.  Disabled is masked at once.
- */
-static int polled_map(struct irq_domain *domain, unsigned int irq, irq_hw_number_t line)
-{
-	irq_set_chip_and_handler(irq, &polled_chip, handle_level_irq);
-	irq_set_chip_data(irq, domain->host_data);
-	irq_set_status_flags(irq, IRQ_LEVEL | IRQ_NOPROBE | IRQ_DISABLE_UNLAZY);
-	return 0;
-}
-
-static const struct irq_domain_ops polled_domain_ops = {
-	.map = polled_map,
-	.xlate = irq_domain_xlate_onetwocell,
+	.irq_request_resources = cm_intc_request_resources,
+	.irq_release_resources = cm_intc_release_resources,
 };
 
 static void polled_init(struct polled_intc *intc)
 {
+	intc->base.chip = &polled_chip;
 	raw_spin_lock_init(&intc->lock);
 	cm_hrtimer_setup(&intc->timer, fire, CLOCK_MONOTONIC, HRTIMER_MODE_ABS_HARD);
 }
@@ -264,11 +229,8 @@ static void polled_end(void *data)
 	intc->gone = true;
 	raw_spin_unlock_irq(&intc->lock);
 	hrtimer_cancel(&intc->timer);
-	if (!cm_intc_unused(&intc->taken))
-		return;
-	if (intc->domain)
-		cm_intc_remove_domain(intc->domain, intc->count);
-	kfree(intc);
+	if (cm_intc_remove(&intc->base))
+		kfree(intc);
 }
 
 static ssize_t period_us_show(struct device *dev, struct device_attribute *attribute, char *to)
@@ -337,18 +299,18 @@ static int read_bits(struct device *dev, struct polled_intc *intc)
 static int map_words(struct platform_device *pdev, struct polled_intc *intc)
 {
 	struct resource *word;
+	u32 i;
 
-	while ((word = platform_get_resource(pdev, IORESOURCE_MEM, intc->count))) {
-		if (intc->count == LINES_MAX || resource_size(word) != sizeof(u32))
+	for (i = 0; (word = platform_get_resource(pdev, IORESOURCE_MEM, i)); i++) {
+		if (i == LINES_MAX || resource_size(word) != sizeof(u32))
 			return dev_err_probe(&pdev->dev, -EINVAL,
 					     "reg: 1 to %u words of 4 bytes\n", LINES_MAX);
-		intc->lines[intc->count].status = devm_ioremap(&pdev->dev, word->start,
-							       sizeof(u32));
-		if (!intc->lines[intc->count].status)
+		intc->lines[i].status = devm_ioremap(&pdev->dev, word->start, sizeof(u32));
+		if (!intc->lines[i].status)
 			return -ENOMEM;
-		intc->count++;
 	}
-	return intc->count ? 0 : dev_err_probe(&pdev->dev, -EINVAL, "reg is missing\n");
+	intc->base.count = i;
+	return i ? 0 : dev_err_probe(&pdev->dev, -EINVAL, "reg is missing\n");
 }
 
 static int polled_probe(struct platform_device *pdev)
@@ -370,11 +332,7 @@ static int polled_probe(struct platform_device *pdev)
 	}
 	/* behind the mappings: ends before them */
 	ret = devm_add_action_or_reset(dev, polled_end, intc);
-	if (ret)
-		return ret;
-	intc->domain = irq_domain_create_linear(dev_fwnode(dev), intc->count,
-						&polled_domain_ops, intc);
-	return intc->domain ? 0 : -ENOMEM;
+	return ret ?: cm_intc_add(&intc->base, dev_fwnode(dev));
 }
 
 static const struct of_device_id polled_of_match[] = {

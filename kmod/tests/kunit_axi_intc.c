@@ -98,7 +98,7 @@ static irqreturn_t source(int irq, void *context)
 
 static unsigned int line(u32 input)
 {
-	return irq_find_mapping(intc.domain, input);
+	return irq_find_mapping(intc.base.domain, input);
 }
 
 /* the output rises, as the parent's handler sees it */
@@ -142,11 +142,11 @@ static int axi_intc_suite_init(struct kunit *test)
 	test->priv = parent;
 	model = (struct model){ .isr = 5, .ier = ~0 };
 	memset(calls, 0, sizeof(calls));
-	intc = (struct axi_intc){ .count = INPUTS, .edges = BIT(EDGE) };
+	intc = (struct axi_intc){ .base = { .count = INPUTS, .edges = BIT(EDGE) } };
 	intc.parent = irq_create_mapping(parent, 0);
 	KUNIT_ASSERT_EQ(test, axi_start(&intc, NULL), 0);
 	for (i = 0; i < INPUTS; i++) {
-		unsigned int irq = irq_create_mapping(intc.domain, i);
+		unsigned int irq = irq_create_mapping(intc.base.domain, i);
 
 		KUNIT_ASSERT_EQ(test, request_irq(irq, source, 0, "cm_axi_intc_test",
 						  (void *)(i + 1)), 0);
@@ -196,10 +196,9 @@ static void axi_intc_level_is_acknowledged_when_its_source_is_low(struct kunit *
 static void axi_intc_input_that_is_off_waits(struct kunit *test)
 {
 	disable_irq(line(2));
-	/* the kernel masks it when it comes */
+	KUNIT_EXPECT_EQ(test, model.ier & BIT(2), 0U);
 	raise(BIT(2), true);
 	KUNIT_EXPECT_EQ(test, calls[2], 0);
-	KUNIT_EXPECT_EQ(test, model.ier & BIT(2), 0U);
 	enable_irq(line(2));
 	raise(0, false);
 	KUNIT_EXPECT_EQ(test, calls[2], 1);

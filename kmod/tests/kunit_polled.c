@@ -58,12 +58,11 @@ static int polled_suite_init(struct kunit *test)
 	intc->period_us = 500;
 	intc->pending = PENDING;
 	intc->idle = IDLE;
-	intc->count = 1;
+	intc->base.count = 1;
 	intc->lines[0].status = (void __iomem *)&core->word;
 	core->word = IDLE;
-	intc->domain = irq_domain_create_linear(NULL, 1, &polled_domain_ops, intc);
-	KUNIT_ASSERT_NOT_ERR_OR_NULL(test, intc->domain);
-	core->irq = irq_create_mapping(intc->domain, 0);
+	KUNIT_ASSERT_EQ(test, cm_intc_add(&intc->base, NULL), 0);
+	core->irq = irq_create_mapping(intc->base.domain, 0);
 	KUNIT_ASSERT_EQ(test, request_irq(core->irq, handle, 0, "cm_polled_test", core), 0);
 	return 0;
 }
@@ -76,8 +75,7 @@ static void polled_suite_exit(struct kunit *test)
 		return;
 	free_irq(core->irq, core);
 	hrtimer_cancel(&core->intc.timer);
-	irq_dispose_mapping(core->irq);
-	irq_domain_remove(core->intc.domain);
+	KUNIT_EXPECT_TRUE(test, cm_intc_remove(&core->intc.base));
 }
 
 static void begin(struct core *core, u32 word)
