@@ -110,6 +110,8 @@ def test_udev_rules_name_the_group_of_the_unit_and_nodes_of_our_drivers() -> Non
     for name in ("cm_dma", "axidma", "cm_window"):
         assert f'"{name}"' in sources
         assert f'"{name}"' in text
+    (uio,) = [line for line in lines(SYSTEM / "udev/60-cm.rules") if '"uio"' in line]
+    assert 'DRIVERS=="cm_*|uio_pdrv_genirq"' in uio  # those of PCI cards reach all memory
 
 
 def test_only_the_manager_lends_pages() -> None:
