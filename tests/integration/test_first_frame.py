@@ -43,6 +43,17 @@ def test_each_page_says_that_it_has_not_run_and_where_to_report(page: str) -> No
     assert "**Not yet run on silicon.** [The marks, and how to report a run.](README.md)" in text
 
 
+@pytest.mark.parametrize("page", ["README", *PAGES])
+def test_each_step_says_whether_it_was_proved_read_or_is_open(page: str) -> None:
+    text = (REPOSITORY / f"docs/boards/{page}.md").read_text("utf-8").partition("## Sources")[0]
+    tables = re.findall(r"^\|.*\| \|\n\|-.*\n((?:\|.*\n)+)", text, re.MULTILINE)
+    steps = "".join(tables).splitlines()
+    assert steps
+    assert [row for row in steps if not re.search(r"\| [^|]*\b(?:Q|S\d|O)\b[^|]*\|$", row)] == []
+    said = re.findall(r"^ *- .*[^:]$", text, re.MULTILINE)
+    assert [line for line in said if not re.search(r"\([^()]*\b(?:Q|S\d|O)\b[^()]*\)", line)] == []
+
+
 def test_the_script_gets_its_frames_on_a_simulated_board(tmp_path: Path) -> None:
     config = generated("pynq-z2", tmp_path) / "config"
     with short_folder() as folder:
