@@ -154,6 +154,7 @@ static struct polled_intc *controller(struct irq_data *data)
 }
 
 static struct polled_line *lock_line(struct irq_data *data, unsigned long *flags)
+	__acquires(&controller(data)->lock)
 {
 	struct polled_intc *intc = controller(data);
 
@@ -162,6 +163,7 @@ static struct polled_line *lock_line(struct irq_data *data, unsigned long *flags
 }
 
 static void unlock_line(struct irq_data *data, struct polled_line *line, unsigned long flags)
+	__releases(&controller(data)->lock)
 {
 	struct polled_intc *intc = controller(data);
 
