@@ -235,8 +235,8 @@ class Rig:
     notes: tuple[str, ...] = ()
 
     def go(self, mode: str, timeout: float = 30.0, config: str = "camera") -> Any:
-        """Go to a mode; the error, or None."""
-        change = self.manager.submit(ChangeMode(config_name=config, mode=mode))
+        """Go to a mode, or unload ``-REGION``; the error, or None."""
+        change = self.manager.submit(asked(config, mode))
         assert change.wait(timeout), f"the change to {mode} did not end"
         return change.error
 
@@ -249,6 +249,11 @@ class Rig:
         self.manager.stop()
         self.devices.lost()
         self.journal.close()
+
+
+def asked(config: str, mode: str) -> ChangeMode:
+    """The request to go to a mode, or to unload ``-REGION``, or all regions: ``-*``."""
+    return ChangeMode(config, unload=mode[1:]) if mode.startswith("-") else ChangeMode(config, mode)
 
 
 def camera(timeout: float | None = None, defaults: Mapping[str, int] | None = None) -> Config:
@@ -299,7 +304,10 @@ def make_rig(
 
 
 def place_of(made: Rig, sim: SimBoard, configs: Mapping[str, Config]) -> str:
-    """The board's mode as config/mode, "" for none; manager, streams and board must agree, as far as all is known."""
+    """The board's mode as config/mode, config/-REGION if one was unloaded, "" for none.
+
+    Manager, streams and board must agree, as far as all is known.
+    """
     status, board, held = made.manager.status(), made.manager.state, sim.control.state()
     assert not status.fpga_busy
     assert made.data_plane.runs[1:] == (board.mode, board.modules)
@@ -308,12 +316,15 @@ def place_of(made: Rig, sim: SimBoard, configs: Mapping[str, Config]) -> str:
         assert not status.config_name
         return ""
     for name, region in board.regions.items():
-        assert region.phase.value in ("ready", "failed", "unknown"), (name, region)
+        assert region.phase.value in ("ready", "failed", "unknown") or region.empty, (name, region)
         real = held["regions"][name]
         if region.phase.value == "ready":
             assert (real["module"], real["decoupled"]) == (region.module, False), name
-        assert region.phase.value != "failed" or real["decoupled"], name
+        assert (region.phase.value != "failed" and not region.empty) or real["decoupled"], name
     assert sorted(held["overlays"]) == sorted(o.name for o in board.overlays)
+    empty = [name for name, region in board.regions.items() if region.empty]
+    if board.config and not board.mode and empty:
+        return f"{board.config}/-{'*' if len(empty) == len(configs[board.config].regions) else ','.join(empty)}"
     if not (board.config and board.mode):
         return ""
     config = configs[board.config]
@@ -347,7 +358,7 @@ def killed_at(
             if isinstance(goal, CheckRegion):
                 made.manager.repair(goal).wait(30.0)
             else:
-                made.manager.submit(goal if isinstance(goal, ChangeMode) else ChangeMode(*goal)).wait(30.0)
+                made.manager.submit(goal if isinstance(goal, ChangeMode) else asked(*goal)).wait(30.0)
         finally:
             os._exit(0)
     return os.WIFSIGNALED(os.waitpid(pid, 0)[1])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm load``, ``mode``, ``plan`` and ``cancel``: changes of mode. A mode is named ``[CONFIG/]MODE``."""
+"""``cm load``, ``mode``, ``unload``, ``plan`` and ``cancel``: changes of mode. A mode is named ``[CONFIG/]MODE``."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from cm.cli.connection import connected, where
 from cm.cli.failures import EXIT_INTERRUPTED
 from cm.errors import CmError, Timeout
 from cm.wire.messages.json_values import plain
+from cm.wire.messages.status import place
 
 if TYPE_CHECKING:
     from cm.client.board import Board
@@ -42,6 +43,17 @@ def add_mode(parser: argparse.ArgumentParser) -> None:
     _add_options(parser, run_mode)
 
 
+def add_unload(parser: argparse.ArgumentParser) -> None:
+    """Add ``cm unload``."""
+    parser.description = (
+        "Stop a region's streams, take its overlays off, and isolate it; no bitstream is loaded. The mode ends if it "
+        "needs the region. The configuration stays; cm load or cm mode brings the region back."
+    )
+    completes(parser.add_argument("region", nargs="?", default="", metavar="REGION", help="default: all"), "<region>")
+    add_lease_option(parser)
+    add_board_options(parser, run_unload)
+
+
 def add_plan(parser: argparse.ArgumentParser) -> None:
     """Add ``cm plan``."""
     target = parser.add_argument(
@@ -49,6 +61,12 @@ def add_plan(parser: argparse.ArgumentParser) -> None:
     )
     completes(target, "<mode>", "<config/mode>")
     completes(parser.add_argument("mode", type=slashed, nargs="?", help=argparse.SUPPRESS), "<mode of target>")
+    completes(
+        parser.add_argument(
+            "--unload", nargs="?", const="*", default="", metavar="REGION", help="what cm unload would do instead"
+        ),
+        "<region>",
+    )
     add_board_options(parser, run_plan)
 
 
@@ -118,6 +136,15 @@ def _go(board: Board, args: argparse.Namespace, config: str, mode: str) -> int:
     return answer(args, told, f"{status.config_name}/{status.mode} after {seconds * 1000:.1f} ms")
 
 
+def run_unload(args: argparse.Namespace) -> int:
+    """Unload; the exit status."""
+    with connected(args) as board:
+        seconds = board.unload(args.region, lease=args.lease)
+        status = board.status
+    told = {"config_name": status.config_name, "mode": status.mode, "seconds": seconds, "done": True}
+    return answer(args, told, f"{where(status)}, after {seconds * 1000:.1f} ms")
+
+
 def _interrupted(args: argparse.Namespace, config: str, mode: str) -> None:
     """Say what becomes of the change that nobody waits for any more. A connection of its own asks."""
     with connected(args) as board:
@@ -140,7 +167,8 @@ def _is_ours(board: Board, status: Status, config: str, mode: str) -> bool:
 
 
 def _target(status: Status) -> str:
-    return f"{status.progress.target_config}/{status.progress.target_mode}" if status.progress else ""
+    goal = status.progress
+    return place(goal.target_config, goal.target_mode) if goal else ""
 
 
 def _say(sentence: str) -> None:
@@ -155,7 +183,7 @@ def run_plan(args: argparse.Namespace) -> int:
     config, mode = (args.target, args.mode) if args.mode else (args.target or "").rpartition("/")[::2]
     with connected(args) as board:
         try:
-            plan = board.plan(mode, config)
+            plan = board.plan(mode, config, unload=args.unload)
         except CmError as error:
             if error.code not in _NO_MODE or config or mode not in board.configs:
                 raise
@@ -163,14 +191,16 @@ def run_plan(args: argparse.Namespace) -> int:
     if args.json:
         print_json(plain(plan))
         return 0
+    goal = place(plan.config_name, plan.mode)
     if not plan.steps:
-        print(f"{plan.config_name}/{plan.mode}: nothing to do, the board is already in this mode")
+        there = "it is unloaded already" if args.unload else "the board is already in this mode"
+        print(f"{goal}: nothing to do, {there}")
         return 0
     rows = [
         (i, s.text, s.bytes or "", f"{s.seconds * 1000:.2f}" if s.seconds else "") for i, s in enumerate(plan.steps, 1)
     ]
     print_table(rows, ("", "STEP", "BYTES", "MS"))
-    print(f"{plan.config_name}/{plan.mode}: {plan.bytes} bytes to load, about {plan.seconds * 1000:.1f} ms")
+    print(f"{goal}: {plan.bytes} bytes to load, about {plan.seconds * 1000:.1f} ms")
     return 0
 
 

@@ -38,6 +38,7 @@ COMMANDS = (
     Command("watch", "cm.cli.status", "follow the status as it changes", "board"),
     Command("load", "cm.cli.change", "load a configuration, or go to one of its modes", "board"),
     Command("mode", "cm.cli.change", "change the mode", "board"),
+    Command("unload", "cm.cli.change", "empty a region, or all of them", "board"),
     Command("plan", "cm.cli.change", "show what a change of mode would do", "board"),
     Command("cancel", "cm.cli.change", "cancel the running change", "board"),
     Command(

@@ -12,7 +12,7 @@ from cm.cli.colours import painted
 from cm.cli.common import add_board_options, answer_table, natural, print_json, print_table, seconds
 from cm.cli.connection import awaited, connected, followed, settled, where, window_use
 from cm.wire.messages.json_values import plain
-from cm.wire.messages.status import NOTICES, RegionHealth, Status
+from cm.wire.messages.status import NOTICES, RegionHealth, Status, place
 
 _COLOURS = {"idle": "green", "partial": "yellow", "full": "yellow", "error": "red"}
 _REGION_COLOURS = {
@@ -144,7 +144,8 @@ def headline(status: Status) -> str:
     """What is going on, in a few words."""
     if status.progress:
         p = status.progress
-        return f"{status.pr_mode.value}: {p.target_config}/{p.target_mode}, {p.step} {p.subject} ({p.fraction:.0%})"
+        goal = place(p.target_config, p.target_mode)
+        return f"{status.pr_mode.value}: {goal}, {p.step} {p.subject} ({p.fraction:.0%})"
     return status.pr_mode.value
 
 

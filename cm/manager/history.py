@@ -21,7 +21,7 @@ class History:
 
     def __init__(self) -> None:
         self._ended: deque[PastChange] = deque(maxlen=CHANGES)
-        self._of_region: dict[str, PastChange] = {}  # the last that has begun to load it
+        self._of_region: dict[str, PastChange] = {}  # the last that has begun to load it, or has unloaded it
         self._running: PastChange | None = None
         self._steps: list[StepTaken] = []
         self.written: dict[str, tuple[int, int, str]] = {}  # value, time and who, by register: a write makes no call
@@ -44,7 +44,7 @@ class History:
         change = replace(self._running, ended_ns=monotonic_ns(), error=error, steps=steps)
         self._ended.append(change)
         for step in steps:
-            if step.kind in ("load", "repair"):
+            if step.kind in ("load", "repair", "decouple"):
                 self._of_region[step.subject] = change
             elif step.kind == "load_full":
                 self._of_region.clear()

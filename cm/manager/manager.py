@@ -18,7 +18,7 @@ from cm.manager.access.leases import Leases, leases_concerned
 from cm.manager.access.memory_service import MemoryService
 from cm.manager.access.register_bus import RegisterBus
 from cm.manager.access.register_service import RegisterService
-from cm.manager.errors import ChangeBusy, NothingLoaded, RecordFailed, UnknownRegion, hint, listed
+from cm.manager.errors import ChangeBusy, NothingLoaded, RecordFailed, listed
 from cm.manager.execution.region_readback import Checked, Pace, Scan, checked_region, loaded_map
 from cm.manager.execution.transaction import Tools, plan_to
 from cm.manager.execution.worker import Change, Look, Worker
@@ -39,6 +39,7 @@ from cm.manager.state.board_state import BoardState, all_lost, slept, taken, wit
 from cm.manager.state.journal import Journal, ManagerState
 from cm.manager.state.steps import ApplyOverlay
 from cm.manager.status_reports import Moment, StatusReporter, config_info
+from cm.manager.touched import emptied
 from cm.schema.model import Config
 from cm.wire.messages.requests import ChangeMode, CheckRegion, RegWrite
 from cm.wire.messages.status import (
@@ -50,6 +51,7 @@ from cm.wire.messages.status import (
     RegValues,
     Status,
     WindowStatus,
+    place,
 )
 
 if TYPE_CHECKING:
@@ -168,7 +170,7 @@ class Manager:
             self.reporter.set_notice(ErrorInfo("reconciled", "; ".join(finding.notes)))
         there = destination(self.state, finding.interrupted, self.configs)
         if there is None:
-            self._state.update(lambda state: replace(state, config=None, mode=None))
+            self._state.update(self._in_no_mode)
         elif finding.interrupted is None and is_whole(self.state, there):
             there = None
         self._env.data_plane.resume(self.loaded_config(), self.state.mode, self.state.modules)
@@ -181,6 +183,11 @@ class Manager:
             self._worker.add(change)  # busy from now on, as no client may take what is there for what will be
         self.reporter.changed()
         return finding.notes
+
+    def _in_no_mode(self, state: BoardState) -> BoardState:
+        """Where regions were unloaded, the static part of their configuration is there still."""
+        kept = state.config in self.configs and any(region.empty for region in state.regions.values())
+        return replace(state, config=state.config if kept else None, mode=None)
 
     def board_restarted(self) -> None:
         """The board was started anew: nothing that is recorded is true any more.
@@ -339,14 +346,18 @@ class Manager:
         """
         coming = self._worker.coming  # before the state, which names it from its end on
         config, mode = planner.target(request, self.configs, self.state.config or coming)
-        scopes = leases_concerned(config, mode, self.state.config)
+        regions = emptied(config, request.unload) if request.unload else ()
+        scopes = leases_concerned(config, mode, self.state.config, regions)
         self.leases.check(scopes, request.lease)
         if request.no_queue and self._worker.busy:
             running = self._worker.running
-            raise ChangeBusy(f"a change to {f'{running.config}/{running.mode}' if running else 'a mode'} is running")
+            to = place(running.config, running.mode) if running else "a mode"
+            raise ChangeBusy(f"a change to {to} is running")
         number = self._state.next_number()
         change = Change(number, config.name, mode, request.force, scopes=scopes, lease=request.lease, on_done=on_done)
         change.asked, change.undoable, change.by, change.why = True, request.undoable, by, why
+        if request.unload:
+            change.unload, change.why = request.unload, f"to unload {', '.join(regions) or config.name}"
         if request.undo:
             if self._worker.busy:
                 raise ChangeBusy("a change runs: only the last one that has ended can be undone")
@@ -394,9 +405,7 @@ class Manager:
         if config is None or mode is None:
             taken = self._state.taken and f"; {self._state.taken}"
             raise NothingLoaded(f"nothing is loaded: there is no region to compare{taken}")
-        if request.name not in config.regions:
-            known = hint(request.name, config.regions)
-            raise UnknownRegion(f"configuration {config.name!r} has no region {request.name!r}{known}")
+        planner.check_region(config, request.name)
         scopes = (f"region:{request.name}",)
         self.leases.check(scopes, request.lease)
         number = self._state.next_number()
@@ -435,7 +444,9 @@ class Manager:
     def plan(self, request: ChangeMode) -> PlanInfo:
         """What a change would do; touches nothing, but reads and validates all files."""
         config, mode = planner.target(request, self.configs, self.state.config)
-        plan = plan_to(Goal(config, mode, request.force), self._tools)
+        unload = request.unload
+        mode = planner.mode_left(config, self.state.mode, unload) if unload else mode
+        plan = plan_to(Goal(config, mode, request.force, unload=unload), self._tools)
         applied = {o.overlay.name: o.data for o in (*plan.steps, *plan.then) if isinstance(o, ApplyOverlay)}
         clashes = self._tools.files.clashes(applied, [o.name for o in self.state.overlays]) if applied else {}
         info = plan.info(self._state.throughput)

@@ -23,6 +23,7 @@ from cm.manager.errors import (
     StepTimeout,
     UnknownConfig,
     UnknownMode,
+    UnknownRegion,
     hint,
     listed,
 )
@@ -31,9 +32,10 @@ from cm.manager.state import steps as s
 from cm.manager.state.board_state import BoardState, OverlayState, RegionPhase, loading_overlay
 from cm.manager.state.journal import Throughput
 from cm.manager.state.steps import ApplyOverlay, Place, SetClock, SetRegister
+from cm.manager.touched import emptied
 from cm.schema.clock_rates import allowed, rate_problem
 from cm.schema.model import Access, Clock, Config, ConfigType, LoaderKind, Mode, Module, Region, Register
-from cm.wire.messages.requests import ChangeMode
+from cm.wire.messages.requests import WHOLE, ChangeMode
 from cm.wire.messages.status import ClockStatus, PlanInfo, PlanStep
 
 if TYPE_CHECKING:
@@ -45,6 +47,8 @@ def target(request: ChangeMode, configs: Mapping[str, Config], loaded: str | Non
 
     That a word may also name a module is the convenience of the paper's plain text, and of nothing else.
     """
+    if request.unload:
+        return _loaded_to_unload(request, configs, loaded), ""
     if request.name_or_mode:
         return _word(request.name_or_mode, configs, loaded)
     if request.config_name:
@@ -54,6 +58,30 @@ def target(request: ChangeMode, configs: Mapping[str, Config], loaded: str | Non
     else:
         raise NothingLoaded(f"nothing is loaded: name a configuration ({listed(configs)})")
     return config, mode_of(config, request.mode) if request.mode else config.first_mode()
+
+
+def _loaded_to_unload(request: ChangeMode, configs: Mapping[str, Config], loaded: str | None) -> Config:
+    if request.mode or request.name_or_mode or request.force or request.undo or request.undoable:
+        raise InvalidRequest("unload goes to no mode: it comes without a mode, force, undo and undoable")
+    if loaded is None or request.config_name not in ("", loaded):
+        raise NothingLoaded(f"{request.config_name or 'no configuration'} is not loaded: there is nothing to unload")
+    if request.unload != WHOLE:
+        check_region(configs[loaded], request.unload)
+    return configs[loaded]
+
+
+def check_region(config: Config, name: str) -> None:
+    """Raise UnknownRegion where a configuration has no region of that name."""
+    if name not in config.regions:
+        raise UnknownRegion(f"configuration {config.name!r} has no region {name!r}{hint(name, config.regions)}")
+
+
+def mode_left(config: Config, mode: str | None, unload: str) -> str:
+    """The mode in which the board is without what is unloaded: the same if that was none of it, else none."""
+    there = config.modes.get(mode or "")
+    if unload == WHOLE or there is None or any(config.modules[name].region == unload for name in there.modules):
+        return ""
+    return there.name
 
 
 def config_named(name: str, configs: Mapping[str, Config]) -> Config:
@@ -115,6 +143,7 @@ class Goal:
     likewise what registers held, by physical address and width, which no name of the configuration has to reach.
     `reload`: regions that are loaded again, though they hold what is wanted.
     `grounded`: the configuration's own overlays are on, by a plan before this one.
+    `unload`: as of `ChangeMode`; `mode` is the one that is left then, or empty.
     """
 
     config: Config
@@ -127,6 +156,7 @@ class Goal:
     found: Mapping[s.Place, int] = field(default_factory=lambda: MappingProxyType({}))
     grounded: bool = False
     reload: Collection[str] = ()
+    unload: str = ""
 
     @property
     def base(self) -> Config | None:
@@ -157,7 +187,9 @@ class Plan:
     @property
     def regions(self) -> frozenset[str]:
         """The regions that the plan isolates, or that are isolated already."""
-        return frozenset(step.region.name for step in (*self.steps, *self.then) if isinstance(step, s.Recouple))
+        return frozenset(
+            step.region.name for step in (*self.steps, *self.then) if isinstance(step, s.Decouple | s.Recouple)
+        )
 
     def info(self, throughput: Throughput) -> PlanInfo:
         """As it is shown."""
@@ -375,7 +407,7 @@ class _Planner:
     ):
         self._goal = goal
         self._config = goal.config
-        self._mode = goal.config.modes[goal.mode]
+        self._mode = goal.config.modes[goal.mode] if goal.mode else Mode("")
         self._state = state
         self._old = old
         self._files = files
@@ -384,6 +416,24 @@ class _Planner:
         self._clocks: tuple[s.SetClock, ...] = ()
 
     def plan(self) -> Plan:
+        return self._unloaded() if self._goal.unload else self._entered()
+
+    def _unloaded(self) -> Plan:
+        """Isolate regions, and take off the overlays of what ends with them; no bitstream is loaded."""
+        names = emptied(self._config, self._goal.unload)
+        regions = [self._config.regions[name] for name in names if not self._state.region(name).empty]
+        wanted = wanted_overlays(self._config, self._mode, self._files, [])
+        overlays = overlay_change(self._state, wanted, names, False)
+        if not (regions or overlays or self._elsewhere()):
+            return Plan(self._goal, ())
+        streams = self._streams(set(names), everything=False)
+        stopped = (s.Quiesce(streams),) if streams else ()
+        removed = (s.RemoveOverlay(name) for name in overlays.removed)
+        cut = (s.Decouple(region) for region in regions)
+        publish = s.Publish(self._config.name, self._goal.mode)
+        return Plan(self._goal, (s.Validate(()), *stopped, *removed, *cut, *overlays.applied, publish))
+
+    def _entered(self) -> Plan:
         whole = self._whole_images()
         static = whole[0] if whole and not self._goal.grounded and self._is_to_be_loaded(whole[0]) else None
         modules = [self._config.modules[name] for name in (*self._mode.modules, *self._goal.also)]
@@ -409,7 +459,7 @@ class _Planner:
         return tuple(step for step in overlays.applied if step.overlay.name in own)
 
     def _elsewhere(self) -> bool:
-        return (self._state.config, self._state.mode) != (self._config.name, self._goal.mode)
+        return (self._state.config, self._state.mode) != (self._config.name, self._goal.mode or None)
 
     def _whole_images(self) -> list[Image]:
         """The image that has to be in the device, if it is known which."""
@@ -530,10 +580,8 @@ class _Planner:
         return s.Recouple(region, self._registers_of(region.name))
 
     def _registers_of(self, region: str) -> frozenset[str]:
-        """The names of all modes."""
-        configs = (self._config,) if self._old is None or self._old is self._config else (self._config, self._old)
-        visible = [config.visible_registers(mode) for config in configs for mode in config.modes]
-        return frozenset([name for registers in visible for name, r in registers.items() if r.region == region])
+        own = self._config.registers_of(region)
+        return own if self._old is None else own | self._old.registers_of(region)
 
     def _streams(self, regions: set[str], everything: bool) -> tuple[str, ...]:
         """Present streams that pass through a changed region, or look different afterwards."""

@@ -31,10 +31,12 @@ from cm.manager.state.board_state import (
 from cm.manager.state.journal import ManagerState, Pending, Record
 from cm.manager.state.steps import Place, hertz
 from cm.schema.model import Config, ConfigType, LoaderKind, Module, Region, Register
+from cm.wire.messages.status import place
 
 if TYPE_CHECKING:
     from cm.manager.interfaces import Devices, Files
 
+_CUT_OFF = "it stands decoupled"
 _EMPTY = ("power off", "reset")  # states of an fpga_manager whose device holds nothing
 
 
@@ -65,7 +67,7 @@ def _compare(
     if not boot_id:
         return Finding(BoardState(), None, ("the boot id cannot be read, so the record may be of before a restart",))
     if record.boot_id != boot_id:
-        held = f" ({record.state.config}/{record.state.mode})" if record.state.config else ""
+        held = f" ({place(record.state.config, record.state.mode)})" if record.state.config else ""
         return Finding(BoardState(), None, (f"the board was restarted; what it held{held} is gone",))
     state = record.state
     notes: list[str] = []
@@ -82,7 +84,7 @@ def _compare(
             state = under_schema(state, config, held_images(config, state, files), notes)
     if record.pending is not None:
         notes.append(
-            f"the change to {record.pending.config}/{record.pending.mode} was cut short at {record.pending.step}"
+            f"the change to {place(record.pending.config, record.pending.mode)} was cut short at {record.pending.step}"
         )
     return Finding(state, record.pending, tuple(notes))
 
@@ -241,11 +243,23 @@ def _regions(
             checked = _region(name, region, config, registers, notes)
         elif region.phase is RegionPhase.UNKNOWN:
             continue
+        elif region.empty and (pending is None or name not in pending.locked):
+            checked = _unloaded(name, region, config, registers, notes)
         else:
             checked = _cut_short(name, region, name in used, notes)
         if checked is not region:
             state = state.with_region(name, checked)
     return state
+
+
+def _unloaded(
+    name: str, region: RegionState, config: Config | None, registers: RegisterBus, notes: list[str]
+) -> RegionState:
+    known = config.regions.get(name) if config else None
+    if known is not None and (known.decoupler is None or _cut_off(known, registers) == _CUT_OFF):
+        return region
+    notes.append(f"region {name} was unloaded, but is not known to be isolated any more")
+    return region.after(RegionEvent.LOSE)
 
 
 def _region(
@@ -285,15 +299,18 @@ def under_schema(state: BoardState, config: Config, images: Mapping[str, str], n
     is in no configuration, and no register of it is offered.
     """
     static = config.type is not ConfigType.FULL or state.static_sha256 == images.get("")
-    other = [n for n, r in state.regions.items() if r.sha256 is not None and not (static and r.sha256 == images.get(n))]
-    whole = static and _used(config, state.mode).isdisjoint(other)
+    held = state.regions.items()
+    other = [n for n, r in held if r.sha256 is not None and not (static and r.sha256 == images.get(n))]
+    # Of an unloaded partial configuration only what other regions hold says which build the static part is of.
+    shown = state.mode or config.type is ConfigType.FULL or any(r.sha256 for n, r in held if n not in other)
+    whole = static and shown and _used(config, state.mode).isdisjoint(other)
     if not static:
         notes.append(f"the device holds another build of {config.name} than its schema names now")
     for name in other:
-        held = state.region(name)
+        region = state.region(name)
         if static:
-            notes.append(f"region {name} holds another build of {held.module} than {config.name} names now")
-        state = state.with_region(name, held.after(RegionEvent.LOSE))
+            notes.append(f"region {name} holds another build of {region.module} than {config.name} names now")
+        state = state.with_region(name, region.after(RegionEvent.LOSE))
     if whole:
         return replace(state, schema=config.sha256_source)
     notes.append(f"nothing of it is used until it is loaded: cm load {config.name}")
@@ -323,7 +340,7 @@ def _cut_off(region: Region, registers: RegisterBus) -> str | None:
     if decoupler is None:
         return None
     try:
-        return "it stands decoupled" if is_cut(registers, decoupler) else None
+        return _CUT_OFF if is_cut(registers, decoupler) else None
     except (CmError, OSError) as error:
         return f"its decoupler cannot be read ({error})"
 

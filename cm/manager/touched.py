@@ -70,6 +70,11 @@ def window_place(config: Config, name: str) -> tuple[str, str] | None:
     return (STATIC, "") if name in config.blocks else None
 
 
+def emptied(config: Config, unload: str) -> tuple[str, ...]:
+    """The regions that `ChangeMode.unload` names."""
+    return tuple(config.regions) if unload == rq.WHOLE else (unload,)
+
+
 def nothing(_: object, __: Scene) -> Iterator[Thing]:
     """Nothing that has a name."""
     yield Thing()
@@ -88,6 +93,11 @@ def named_config(request: rq.ReadConfig | rq.PlanChange | rq.RemoveConfig, scene
 def change(request: rq.ChangeMode, scene: Scene) -> Iterator[Thing]:
     """A mode touches the regions of its modules; another configuration, a whole image or a way back all regions."""
     config, mode = scene.target(request)
+    if request.unload:
+        yield Thing(config.name)
+        for name in (*emptied(config, request.unload), *((STATIC,) if request.unload == rq.WHOLE else ())):
+            yield Thing(config.name, name)
+        return
     others = [other for other in (scene.loaded, scene.coming) if other is not None and other.name != config.name]
     regions = {config.modules[name].region for name in config.modes[mode].modules}
     if others or scene.loaded is None or config.type is ConfigType.FULL or request.force or request.undo:

@@ -13,7 +13,7 @@ from cm.frozen import dataclass, field
 from cm.recording.layout import STREAM_PREFIX
 from cm.recording.reader import Record
 from cm.recording.story import Story, stories
-from cm.wire.messages.status import PastChange
+from cm.wire.messages.status import PastChange, place
 
 _WIDTH, _LEFT, _RIGHT = 960, 132, 24
 _LANE, _CURVE, _GAP = 26, 56, 10
@@ -179,7 +179,7 @@ class _Picture:
             x = self._x(change.ended_ns + self._what.offset)
             how = f"failed: {change.error.message}" if change.error else f"done in {_ms(change)}"
             by = f", asked for by {change.by}" if change.by else ""
-            said = f"change {change.number} to {change.config_name}/{change.mode}{by}: {how}"
+            said = f"change {change.number} to {place(change.config_name, change.mode)}{by}: {how}"
             kind, middle = ("badmark" if change.error else "mark"), top + _LANE / 2
             if change.error:
                 yield f'<line class="badline" x1="{x}" x2="{x}" y1="{first}" y2="{last}"/>'

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 from cm.errors import NotFound
 from cm.recording.story import Story
-from cm.wire.messages.status import NOTICES, PastChange, PastWrite, RegionStatus, StepTaken, StreamStatus
+from cm.wire.messages.status import NOTICES, PastChange, PastWrite, RegionStatus, StepTaken, StreamStatus, place
 
 _LOADS = ("load", "repair")
 UNKNOWN = "not known"
@@ -53,12 +53,10 @@ def fault(story: Story) -> str:
 def _board(story: Story) -> Iterator[str]:
     status = story.status
     last = max((c for c in story.changes if c.ended_ns and c.error is None), key=lambda c: c.number, default=None)
-    held = f"{status.config_name}/{status.mode}" if status.mode else status.config_name
+    held = f"{status.config_name}/{status.mode}" if status.mode else f"no mode of {status.config_name}"
     name = status.board or "the board"
-    if not held:
+    if not status.config_name:
         yield f"{name} holds nothing that the manager has loaded."
-    elif not status.mode:
-        yield f"{name} is in no mode of {held}."
     elif last is not None and (last.config_name, last.mode) == (status.config_name, status.mode):
         yield f"{name} is in {held} since {_at(story, last.ended_ns)}: {_asked(last)}; it took {_took(last)}."
     else:
@@ -67,7 +65,7 @@ def _board(story: Story) -> Iterator[str]:
     if running is not None and status.fpga_busy:
         step = running.steps[-1] if running.steps else None
         doing = f", at {step.kind} {step.subject}".rstrip() if step else ""
-        yield f"A change to {running.config_name}/{running.mode} runs{doing}: {_asked(running)}."
+        yield f"A change to {place(running.config_name, running.mode)} runs{doing}: {_asked(running)}."
     wrong = fault(story)
     if wrong:
         yield wrong
@@ -94,8 +92,9 @@ def _failed(story: Story, change: PastChange) -> str:
     assert error is not None
     step = next((step for step in change.steps if step.failed), None)
     at = f" at step {_step(step)}" if step is not None else ""
+    goal = place(change.config_name, change.mode)
     return (
-        f"Change {change.number} to {change.config_name}/{change.mode} failed at {_at(story, change.ended_ns)}{at}: "
+        f"Change {change.number} to {goal} failed at {_at(story, change.ended_ns)}{at}: "
         f"{error.message} [{error.code}]; {_asked(change)}."
     )
 
@@ -125,6 +124,9 @@ def _holding(story: Story, region: RegionStatus, change: PastChange | None) -> I
     if change is None:
         yield f"{held}; since when and why is {UNKNOWN}: it was so {_before(story)}"
         return
+    if _left_cut(change, region.name):
+        yield f"{region.name} is empty since {_at(story, change.ended_ns)}: change {change.number}, {_asked(change)}"
+        return
     load = next(step for step in reversed(change.steps) if _loads(step, region.name))
     yield f"{held} since {_at(story, _end_of(change, region.name))}: change {change.number}, {_asked(change)}"
     if load.seconds:
@@ -140,8 +142,15 @@ def _holding(story: Story, region: RegionStatus, change: PastChange | None) -> I
 
 
 def _loader_of(story: Story, region: str) -> PastChange | None:
-    """The last change that has begun to load a region, of those that are known."""
-    return next((c for c in reversed(story.changes) if any(_loads(step, region) for step in c.steps)), None)
+    """The last change that has begun to load a region, or has unloaded it, of those that are known."""
+    known = reversed(story.changes)
+    return next((c for c in known if any(_loads(step, region) for step in c.steps) or _left_cut(c, region)), None)
+
+
+def _left_cut(change: PastChange, region: str) -> bool:
+    """Whether a change has unloaded a region."""
+    own = [step.kind for step in change.steps if step.subject == region]
+    return change.error is None and bool(change.ended_ns) and own[-1:] == ["decouple"]
 
 
 def _loads(step: StepTaken, region: str) -> bool:
@@ -175,7 +184,8 @@ def _register(story: Story, name: str) -> Iterator[str]:
     step = next(step for step in reversed(change.steps) if _sets(step, name)) if change is not None else None
     if loader is not None and _end_of(loader, region) > max(written, step.begun_ns if step else 0):
         at = _at(story, _end_of(loader, region))
-        yield f"{name} was reset at {at}, when {region} was loaded: change {loader.number}, {_asked(loader)}."
+        how = "unloaded" if _left_cut(loader, region) else "loaded"
+        yield f"{name} was reset at {at}, when {region} was {how}: change {loader.number}, {_asked(loader)}."
     elif step is not None and change is not None and step.begun_ns > written:
         at = _at(story, step.begun_ns)
         goal = f"{change.config_name}/{change.mode}"

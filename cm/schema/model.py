@@ -468,6 +468,11 @@ class Config:
             found.update(self.modes[mode].registers)
         return found
 
+    def registers_of(self, region: str) -> frozenset[str]:
+        """Names of a region's registers, in all modes."""
+        visible = (r for mode in self.modes for r in self.visible_registers(mode).values())
+        return frozenset([r.name for r in visible if r.region == region])
+
     def controls(self, mode: str) -> Iterator[tuple[Register, int]]:
         """What `run` of a mode starts: the registers with a field `start`, and what is written to each."""
         said = self.modes[mode]

@@ -212,7 +212,9 @@ def list_configs(s: Services, _: Asked, __: rq.ListConfigs) -> Reply:
 
 def plan_change(s: Services, asked: Asked, request: rq.PlanChange) -> None:
     """What going there would do."""
-    s.read_files(asked, partial(s.manager.plan, rq.ChangeMode(request.config_name, request.mode)), Reply)
+    s.read_files(
+        asked, partial(s.manager.plan, rq.ChangeMode(request.config_name, request.mode, unload=request.unload)), Reply
+    )
 
 
 def change_mode(s: Services, asked: Asked, request: rq.ChangeMode) -> Reply | None:

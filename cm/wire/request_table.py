@@ -84,7 +84,7 @@ class _ProvisionRow(Row):
 
     def __init__(self) -> None:
         super().__init__(rq.Provision, topics.WRITE_CONFIG, pb.WriteConfig)
-        self.fields = CHANGE_MODE.fields | {"schema", "files", "provision_only"}
+        self.fields = CHANGE_MODE.fields - {"unload"} | {"schema", "files", "provision_only"}
 
     def encode(self, request: rq.Provision) -> list[Frame]:
         if not request.schema:

@@ -151,6 +151,22 @@ def test_cancelling_a_change_that_is_not_running_does_nothing(board: Any) -> Non
     assert board.mode == "edge_detection"
 
 
+def test_a_region_is_unloaded_and_loaded_again(board: Any, sim: SimBoard) -> None:
+    steps = [step.kind for step in board.plan(unload="prr0").steps]
+    assert steps == ["validate", "quiesce", "overlay_remove", "decouple", "publish"]
+    assert board.unload("prr0") > 0
+    assert (board.mode, board.regions["prr0"].state, board.regions["prr0"].module) == ("", "decoupled", None)
+    assert sim.control.state()["regions"]["prr0"]["decoupled"]
+    with pytest.raises(RequestFailed):
+        board.stream("camera", timeout=1).read()
+    assert board.unload() > 0
+    assert board.regions["prr1"].state == "decoupled"
+    with pytest.raises(RequestNotFound, match="nope"):
+        board.unload("nope")
+    board.set_mode("default")
+    assert board.regions["prr0"].state == "ready"
+
+
 def test_watching_begins_with_the_present_status(board: Any) -> None:
     with board.watch(timeout=60) as watch:
         assert watch.next().config_name == "camera"

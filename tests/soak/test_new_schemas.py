@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import random
 import re
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -48,10 +49,12 @@ def told_wrong(design: Design, loaded: dict[str, int], sim: SimBoard, status: An
     held = sim.control.state()["regions"]
     wrong = []
     for region in status.regions:
+        if region.state == "decoupled" and not held[region.name]["decoupled"]:
+            wrong.append(f"{region.name} is decoupled, it holds {held[region.name]}")
         if region.state == "ready":
             if (held[region.name]["module"], held[region.name]["decoupled"]) != (region.module, False):
                 wrong.append(f"{region.name} is {region.module}, it holds {held[region.name]}")
-            if status.mode and loaded.get(region.name) != design.number:
+            if status.config_name and loaded.get(region.name) != design.number:
                 wrong.append(f"{region.name} holds build {loaded.get(region.name)}, the schema is {design.number}")
     return wrong
 
@@ -68,10 +71,12 @@ def test_whatever_is_replaced_killed_or_lost_a_status_says_what_the_board_holds(
         manager = Manager(folder / "run", *places, env=environment()).start()
         loaded: dict[str, int] = {}  # builds that regions hold, by what was confirmed
         for number in range(rounds):
-            deeds = [draw.choice(("build", "kill", "stop", "lose", "load", "force", "load")) for _ in range(4)]
+            deeds = [
+                draw.choice(("build", "kill", "stop", "lose", "load", "force", "load", "unload")) for _ in range(4)
+            ]
             for deed in deeds:
                 with manager.connected() as board:
-                    do(deed, draw.choice(MODES), manager, sim, design, board, loaded)
+                    do(deed, draw, manager, sim, design, board, loaded)
             manager.kill()
             manager.start()
             with manager.connected() as board:
@@ -79,7 +84,7 @@ def test_whatever_is_replaced_killed_or_lost_a_status_says_what_the_board_holds(
                 status = board.status
                 note_loads(design, loaded, status)
                 assert told_wrong(design, loaded, sim, status) == [], f"round {number}: {deeds}"
-                if status.mode:
+                if status.config_name:
                     board.registers["led"] = number % 256
                     assert board.registers["led"] == number % 256
                 else:
@@ -95,7 +100,13 @@ def note_loads(design: Design, loaded: dict[str, int], status: Any) -> None:
 
 
 def do(
-    deed: str, mode: str, manager: Manager, sim: SimBoard, design: Design, board: cm.Board, loaded: dict[str, int]
+    deed: str,
+    draw: random.Random,
+    manager: Manager,
+    sim: SimBoard,
+    design: Design,
+    board: cm.Board,
+    loaded: dict[str, int],
 ) -> None:
     """One deed."""
     if deed == "build":
@@ -108,9 +119,12 @@ def do(
         sim.restart()
         loaded.clear()
         until(lambda: not board.status.config_name)
+    elif deed == "unload":
+        with suppress(CmError):  # nothing may be loaded
+            board.unload(draw.choice(("", "prr0", "prr1")))
     else:
         try:
-            board.load("camera", mode, force=deed == "force")
+            board.load("camera", draw.choice(MODES), force=deed == "force")
         except CmError:
             return
         loaded.update({region.name: design.number for region in board.status.regions if region.state == "ready"})

@@ -240,13 +240,24 @@ class Board(Guarded):
         """Go to a mode of the loaded configuration and wait; returns the seconds it took. Raises as `load` does."""
         return await self.load(mode=mode_name(mode), timeout=timeout, lease=lease)
 
+    async def unload(self, region: str = "", *, timeout: float | None = None, lease: str = "") -> float:
+        """Empty a region, or all regions, and wait; returns the seconds it took. Raises as `load` does.
+
+        Its streams stop, its overlays go, it is isolated; the configuration stays. The mode ends if it needs the
+        region. Nothing is offered of it until it is loaded again.
+        """
+        return (await self.ask(calls.unload(region, lease), timeout)).seconds
+
     async def cancel(self) -> None:
         """Cancel the running change before its next load; the board goes back."""
         await self.ask(calls.cancel())
 
-    async def plan(self, mode: str = "", config: str = "") -> PlanInfo:
-        """What a change to a mode would do, and how long it would take; changes nothing."""
-        return await self.ask(calls.plan(mode, config), timeout=at_least(self.timeout, 30.0))
+    async def plan(self, mode: str = "", config: str = "", *, unload: str = "") -> PlanInfo:
+        """What a change to a mode would do, and how long it would take; changes nothing.
+
+        `unload`: what unloading this region would do; "*": all.
+        """
+        return await self.ask(calls.plan(mode, config, unload), timeout=at_least(self.timeout, 30.0))
 
     async def check_region(
         self, name: str, *, repair: bool = False, reload: bool = False, lease: str = "", timeout: Limit = DEFAULT

@@ -100,9 +100,9 @@ def describe(name: str = "") -> Call[ConfigInfo]:
     return Call(rq.ReadConfig(config_name=name), _whole(ConfigInfo))
 
 
-def plan(mode: str = "", config: str = "") -> Call[PlanInfo]:
+def plan(mode: str = "", config: str = "", unload: str = "") -> Call[PlanInfo]:
     """What going to a mode would do."""
-    return Call(rq.PlanChange(config, mode), _whole(PlanInfo))
+    return Call(rq.PlanChange(config, mode, unload), _whole(PlanInfo))
 
 
 def load(
@@ -121,6 +121,11 @@ def load(
         undo=undo,
     )
     return Call(request, _whole(ChangeInfo))
+
+
+def unload(region: str, lease: str) -> Call[ChangeInfo]:
+    """Isolate a region, or all."""
+    return Call(rq.ChangeMode(unload=region or rq.WHOLE, lease=lease), _whole(ChangeInfo))
 
 
 def cancel() -> Call[Status]:

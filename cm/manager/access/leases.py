@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from itertools import count
 from math import inf
 from typing import TYPE_CHECKING
@@ -244,18 +244,20 @@ class Leases:
         return max(0.0, held.until - self._time.monotonic())
 
 
-def leases_concerned(config: Config, mode: str, loaded: str | None) -> tuple[str, ...]:
-    """What a change to a mode touches, as scopes.
+def leases_concerned(config: Config, mode: str, loaded: str | None, unloaded: Collection[str] = ()) -> tuple[str, ...]:
+    """What a change to a mode touches, or one to no mode that unloads regions, as scopes.
 
     Within a configuration: its regions, the registers that it writes or resets, and memories in its regions. To
     another one, or with a full image: everything. A lease on the configuration or the board covers every change.
     """
     if config.name != loaded:
         return ("config",)
-    regions = {config.modules[m].region for m in config.modes[mode].modules}
-    registers = config.visible_registers(mode).values()
-    names = (r.name for r in registers if r.region in regions or r.default is not None)
-    memories = (m.name for m in config.visible_memories(mode).values() if m.region in regions)
+    modes = (mode,) if mode else config.modes
+    regions = {config.modules[m].region for m in config.modes[mode].modules} if mode else set(unloaded)
+    registers = {r.name: r for name in modes for r in config.visible_registers(name).values()}
+    names = (r.name for r in registers.values() if r.region in regions or (mode and r.default is not None))
+    seen = {m.name: m for name in modes for m in config.visible_memories(name).values()}
+    memories = (m.name for m in seen.values() if m.region in regions)
     return (
         "mode",
         *(f"region:{name}" for name in sorted(regions)),

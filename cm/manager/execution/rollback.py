@@ -126,10 +126,17 @@ class Rollback:
         Those that still hold a module of another configuration, or what the boot loader loaded, are connected again;
         the rest stays isolated. Returns sentences about what is not as it was.
         """
-        cut = [r for r in failure.goal.regions.values() if self._state.board.region(r.name).phase in _CUT]
+        cut = [r for r in failure.goal.regions.values() if self._is_cut(r.name)]
         lost = [r for r in cut if not self._coupled_again(r, failure)]
         problems = isolate(self._tools, lost, self._sealed)
         return [*([f"regions left decoupled: {', '.join(r.name for r in lost)}"] if lost else []), *problems]
+
+    def _is_cut(self, name: str) -> bool:
+        return self._state.board.region(name).phase in _CUT and not self._was_empty(name)
+
+    def _was_empty(self, name: str) -> bool:
+        """Whether a region was unloaded before, and still is."""
+        return self._before.region(name).empty and self._state.board.region(name).empty
 
     def _coupled_again(self, region: Region, failure: Failure) -> bool:
         """Connect a region again that was connected and still holds the same."""
@@ -169,9 +176,9 @@ class Rollback:
         """Leave what is not ready isolated; returns a sentence on what each region holds."""
         before, same = self._before, self._same_static()
         known = [r for name, r in self._regions(failure.goal).items() if name in self._state.board.regions]
-        cut = [r for r in known if self._state.board.region(r.name).phase in _CUT]
-        again = {r.name for r in cut if self._coupled_again(r, failure)}
-        problems = isolate(self._tools, [r for r in known if r.name not in again], self._sealed)
+        again = {r.name for r in known if self._is_cut(r.name) and self._coupled_again(r, failure)}
+        left = [r for r in known if r.name not in again and not self._was_empty(r.name)]
+        problems = isolate(self._tools, left, self._sealed)
         if same:  # otherwise the rates are those of the image that is there now
             problems += self._rates_again(failure.rates)
         mode = before.mode if self._holds_as_before() else None
@@ -211,6 +218,7 @@ class Rollback:
         if state.static_lost:
             return "what the device holds is not known, so nothing in it is accessed"
         cut = [name for name, region in state.regions.items() if region.phase is RegionPhase.FAILED]
+        cut += [name for name in again if state.region(name).empty]
         if cut:
             return f"regions left decoupled: {', '.join(cut)}"
         if not self._same_static():

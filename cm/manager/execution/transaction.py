@@ -32,6 +32,7 @@ from cm.manager.state.board_state import (
 from cm.manager.state.journal import ManagerState
 from cm.manager.state.steps import Step
 from cm.manager.status_reports import StatusReporter
+from cm.manager.touched import emptied
 from cm.schema.clock_rates import rate_problem
 from cm.schema.model import Config, LoaderKind, Register
 from cm.wire.messages.status import Progress, StepTaken
@@ -161,8 +162,8 @@ def _places(step: Step) -> Iterator[tuple[str, int, int]]:
 
 def _planned(goal: Goal, tools: Tools) -> Plan:
     state = tools.state
-    mode = goal.config.modes[goal.mode]
-    wanted = {goal.config.modules[name].region for name in (*mode.modules, *goal.also)}
+    modules = () if goal.unload else (*goal.config.modes[goal.mode].modules, *goal.also)
+    wanted = {goal.config.modules[name].region for name in modules}
     try:
         config, choices = resolved(goal.config, wanted, tools.devices)
     except NoPort:
@@ -241,7 +242,7 @@ def decouple(run: StepContext, step: s.Decouple) -> None:
 
 def recouple(run: StepContext, step: s.Recouple) -> None:
     """Connect; only then does the state say so. Its registers were reset: nothing is known of them."""
-    run.update(lambda state: state.without_values(set(step.resets)))
+    run.update(lambda state: state.without_values(step.resets))
     run.sealed.discard(step.region.name)
     if step.region.decoupler:
         drive(run.tools.registers, step.region.decoupler, cut=False)
@@ -444,14 +445,18 @@ def publish(run: StepContext, step: s.Publish) -> None:
     run.update(lambda state: _entered(state, run.plan.goal, run.written))
     run.record(None)
     run.tools.state.release_regions()
-    run.tools.data_plane.resume(run.plan.goal.config, step.mode, run.tools.state.board.modules)
+    run.tools.data_plane.resume(run.plan.goal.config, step.mode or None, run.tools.state.board.modules)
 
 
 def _entered(state: BoardState, goal: Goal, written: dict[str, int]) -> BoardState:
     """In another configuration the same names are other registers: only values that this change wrote are known."""
     if state.config != goal.config.name:
         state = replace(state, values=MappingProxyType(dict(written)))
-    return replace(state, config=goal.config.name, mode=goal.mode, schema=goal.config.sha256_source)
+    for name in emptied(goal.config, goal.unload) if goal.unload else ():
+        state = state.without_values(goal.config.registers_of(name)).with_region(
+            name, RegionState(RegionPhase.DECOUPLED)
+        )
+    return replace(state, config=goal.config.name, mode=goal.mode or None, schema=goal.config.sha256_source)
 
 
 def set_clock(run: StepContext, step: s.SetClock) -> None:

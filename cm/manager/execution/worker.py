@@ -22,6 +22,7 @@ from cm.manager.state.journal import Pending, WayBack
 from cm.manager.state.steps import Place, Repair, Validate
 from cm.manager.touched import ALL, Thing
 from cm.schema.model import ConfigType
+from cm.wire.messages.requests import ChangeMode
 from cm.wire.messages.status import ChangeInfo, ErrorInfo, PastChange, RegionCheck, Reply
 
 QUEUE_LENGTH = 8
@@ -52,6 +53,7 @@ class Change:
     resumes: Pending | None = None  # one that was cut short, whose way back this is
     undoing: bool = False  # that change before it: void only once this one has ended well
     undoable: str = ""  # the name under which its own way back is kept
+    unload: str = ""  # as of `ChangeMode`; `mode` is then the one that is left
     repairs: str = ""  # a region that it compares with what was loaded, and repairs; it goes nowhere else
     reloads: bool = False  # that region as a whole
     checked: RegionCheck | None = None  # what came of that
@@ -241,6 +243,8 @@ class Worker:
         if change.asked and not change.undoing:
             state.way_back = None
         board, whole = state.board, state.configs[change.config].type is ConfigType.FULL
+        if change.unload:
+            change.mode = planner.mode_left(state.configs[change.config], board.mode, change.unload)
         there = board.config == change.config and not change.force
         full = (whole and not there) or change.static is not None
         before = board.config or "", board.mode or ""
@@ -280,6 +284,11 @@ class Worker:
             self._repair(change)
             return
         configs = self._tools.state.configs
+        if change.unload:
+            request = ChangeMode(change.config, unload=change.unload)
+            config, _ = planner.target(request, configs, self._tools.state.board.config)
+            self._go_to(Goal(config, change.mode, unload=change.unload), change)
+            return
         config = planner.config_named(change.config, configs)  # it may have been taken away while this change waited,
         mode = planner.mode_of(config, change.mode)  # or provisioned anew
         static = configs.get(change.static or "")

@@ -93,6 +93,11 @@ class RegionState:
             return RegionState(phase)
         return replace(self, phase=phase)
 
+    @property
+    def empty(self) -> bool:
+        """Whether it is isolated, and nothing that it may hold counts: it was unloaded."""
+        return self.phase is RegionPhase.DECOUPLED and self.sha256 is None
+
     def holding(self, module: str, sha256: str) -> RegionState:
         """The same phase with content."""
         return replace(self, module=module, sha256=sha256)
@@ -158,7 +163,7 @@ class BoardState:
             return _empty()
         return {n: v for n, v in self.values.items() if n not in but and before.values.get(n) != v}
 
-    def without_values(self, registers: set[str]) -> BoardState:
+    def without_values(self, registers: Collection[str]) -> BoardState:
         """A copy that has forgotten values which a load has reset."""
         kept = {name: value for name, value in self.values.items() if name not in registers}
         return replace(self, values=MappingProxyType(kept))

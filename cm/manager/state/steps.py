@@ -7,6 +7,7 @@ from cm.frozen import dataclass
 from cm.manager.inputs import Image
 from cm.schema.clock_rates import hertz as hertz
 from cm.schema.model import Clock, LoaderKind, Module, Overlay, Region, Register, StaticIdentity
+from cm.wire.messages.status import place
 
 
 @dataclass(frozen=True, slots=True)
@@ -281,16 +282,16 @@ class Publish(_Step):
     """The board is in the new mode: say so, and let the streams run."""
 
     config: str
-    mode: str
+    mode: str  # empty: in none, after an unload
     kind = "publish"
 
     @property
     def subject(self) -> str:
-        return f"{self.config}/{self.mode}"
+        return place(self.config, self.mode)
 
     @property
     def text(self) -> str:
-        return f"publish {self.config}/{self.mode} and start its streams"
+        return f"publish {self.subject}{' and start its streams' if self.mode else ''}"
 
 
 Step = (

@@ -9,7 +9,7 @@ from typing import Any
 
 from cm.networks.bridge.records import ConfigRecord, FrameRecord, StreamFormat
 from cm.networks.ros.transport import Values
-from cm.wire.messages.status import Irq, PlanInfo, RegValues, Status
+from cm.wire.messages.status import Irq, PlanInfo, RegValues, Status, place
 from cm.wire.records import Gap
 
 _BILLION = 10**9
@@ -149,7 +149,7 @@ def gap(board: str, missing: Gap) -> Values:
 
 def _diagnosed(now: Status) -> Iterator[tuple[bytes, str, str, dict[str, Any]]]:
     """Level, name, text and values of each row."""
-    level, text = _OK, f"{now.config_name}/{now.mode}" if now.config_name else "nothing is loaded"
+    level, text = _OK, place(now.config_name, now.mode) if now.config_name else "nothing is loaded"
     if now.last_error is not None:
         level, text = (_ERROR if now.pr_mode.value == "error" else _WARN), now.last_error.message
     values = {"config_name": now.config_name, "mode": now.mode, "pr_mode": now.pr_mode.value, "version": now.version}

@@ -70,7 +70,8 @@ def _subject(request: rq.Request) -> str:
         rest = len(request.writes) - len(names)
         return f" {', '.join(map(printable, names))}{f' and {rest} more' if rest else ''}"
     if isinstance(request, rq.ChangeMode):
-        return " " + printable(request.name_or_mode or f"{request.config_name}/{request.mode}".strip("/"))
+        said = request.unload and f"unload {request.unload}"
+        return " " + printable(said or request.name_or_mode or f"{request.config_name}/{request.mode}".strip("/"))
     for name in ("config_name", "stream", "name", "scope", "id"):
         value = getattr(request, name, None)
         if value:

@@ -31,7 +31,7 @@ def progress(fraction: float, text: str) -> str:
 
 def status(s: Any) -> str:
     """A `cm.wire.messages.status.Status`."""
-    loaded = f"{s.config_name}/{s.mode}" if s.config_name else "nothing loaded"
+    loaded = f"{s.config_name}/{s.mode or 'no mode'}" if s.config_name else "nothing loaded"
     goes_on = s.pr_mode.value
     if s.progress is not None:
         goes_on += f": {s.progress.target_config}/{s.progress.target_mode}, {s.progress.step} {s.progress.subject}"
@@ -49,7 +49,7 @@ def status(s: Any) -> str:
 
 def plan(p: Any) -> str:
     """A `cm.wire.messages.status.PlanInfo`."""
-    goal = f"{p.config_name}/{p.mode}"
+    goal = f"{p.config_name}/{p.mode or 'no mode'}"
     if not p.steps:
         return paragraph("nothing to do, the board is already in this mode", strong=goal)
     rows = [(step.text, step.bytes or "", f"{step.seconds * 1000:.2f}" if step.seconds else "") for step in p.steps]

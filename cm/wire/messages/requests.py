@@ -9,6 +9,7 @@ from __future__ import annotations
 from cm.frozen import KW_ONLY, dataclass, field
 from cm.hashes import sha256
 
+WHOLE = "*"  # all regions
 LEASE_SECONDS = 30.0  # for which a lease is held if nobody says how long
 
 
@@ -38,6 +39,7 @@ class PlanChange:
 
     config_name: str = ""
     mode: str = ""
+    unload: str = ""  # as of `ChangeMode`
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +65,8 @@ class ChangeMode:
     a mode, a module or a configuration; it is resolved against what is loaded. `no_wait`: reply when the change
     is accepted. `no_queue`: refuse rather than wait for a running change. `force`: load modules even if they are
     loaded already. `undoable`: a name under which the way back is kept until the next change; `undo`: go that way,
-    to `config_name` and `mode` of before, with what registers and clocks had then.
+    to `config_name` and `mode` of before, with what registers and clocks had then. `unload`: go to no mode, but isolate
+    this region of the loaded configuration, or `WHOLE` of it.
     """
 
     config_name: str = ""
@@ -76,6 +79,7 @@ class ChangeMode:
     lease: str = ""
     undoable: str = ""
     undo: str = ""
+    unload: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,11 @@ PIXEL_FORMAT = "pixel_format"  # the code of a picture's refusal, whose pixels t
 NOTICES = ("reconciled", "slept")  # codes of what the manager has found out, where nothing failed
 
 
+def place(config: str, mode: str | None) -> str:
+    """A mode of a configuration for people, or that it is in none."""
+    return f"{config}/{mode or 'no mode'}"
+
+
 class PrMode(str, Enum):
     """What kind of reconfiguration runs, or how the last one ended."""
 
@@ -326,7 +331,7 @@ class Status:
 
     def __str__(self) -> str:
         """What people look for first, in a few lines."""
-        loaded = f"{self.config_name}/{self.mode or 'no mode'}" if self.config_name else "nothing loaded"
+        loaded = place(self.config_name, self.mode) if self.config_name else "nothing loaded"
         goes_on = f", {self.progress.step} {self.progress.subject}".rstrip() if self.progress is not None else ""
         lines = [f"{self.board or 'board'}: {loaded}, {self.pr_mode.value}{goes_on}"]
         if self.last_error is not None:
@@ -499,7 +504,7 @@ class PlanInfo:
         """A line for each step."""
         steps = [f"{i:2} {s.text}{f' ({s.bytes} bytes)' if s.bytes else ''}" for i, s in enumerate(self.steps, 1)]
         total = f"{self.bytes} bytes to load, about {self.seconds * 1000:.1f} ms" if steps else "nothing to do"
-        return "\n".join([*steps, f"{self.config_name}/{self.mode}: {total}"])
+        return "\n".join([*steps, f"{place(self.config_name, self.mode)}: {total}"])
 
     def _repr_html_(self) -> str:
         from cm.wire.messages import notebook

@@ -41,6 +41,7 @@ def _requests() -> list[rq.Request]:
         rq.ListConfigs(),
         rq.PlanChange("camera", "edge"),
         rq.ChangeMode("camera", "edge", force=True, lease="1"),
+        rq.ChangeMode(unload="prr0"),
         rq.CancelChange(),
         rq.ReadReg(("focus", "zoom")),
         rq.WriteReg((rq.RegWrite("focus", 2, mask=3),), "1"),

@@ -113,7 +113,8 @@ def test_a_script_gets_json_of_every_command_that_it_may_read(command: str) -> N
 @pytest.mark.parametrize(
     "line",
     [
-        "status", "watch", "load a", "mode a", "mode a/b", "plan a", "cancel", "reg list", "reg read", "reg write a=1",
+        "status", "watch", "load a", "mode a", "mode a/b", "plan a", "unload", "cancel", "reg list", "reg read",
+        "reg write a=1",
         "reg watch", "mem list", "mem read a", "irq list", "irq wait a", "stream list",
         "stream capture a b.npy", "stream ping a", "view a", "lease list", "lease give 1", "lease break 1",
         "config list", "config remove a",

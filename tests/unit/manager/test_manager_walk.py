@@ -42,8 +42,10 @@ TO_PARTIAL = Way("whole/full", "duo/default")
 ONE_OF_TWO = Way("duo/other", "duo/both", after=("duo/default",))  # the mode before leaves prr1 alone
 BY_OVERLAY = Way("kernel/default", "kernel/both")
 BY_MANAGER = Way("managed/default", "managed/both")
+UNLOADED = Way("duo/both", "duo/-*")
+ONE_UNLOADED = Way("kernel/both", "kernel/-prr1")
 REGISTERS = {"gain": 0x2000 + 0x1010, "depth": 0x6000 + 0x1010}  # of prr0 and prr1
-WAYS = (TWO_REGIONS, ONE_OF_TWO, TO_FULL, TO_PARTIAL, BY_OVERLAY, BY_MANAGER)
+WAYS = (TWO_REGIONS, ONE_OF_TWO, TO_FULL, TO_PARTIAL, BY_OVERLAY, BY_MANAGER, UNLOADED, ONE_UNLOADED)
 
 
 @pytest.fixture
@@ -110,7 +112,8 @@ def test_one_failure_of_any_operation_ends_in_the_old_mode_or_the_new(
         end = where(made, sim, configs)
         ends.add(end)
         assert end in (way.start, way.goal), f"operation {number}, {name}: {error}"
-        assert_whole_regions(made)
+        if end == way.start or way not in (UNLOADED, ONE_UNLOADED):
+            assert_whole_regions(made)
         if way in (TWO_REGIONS, ONE_OF_TWO, BY_MANAGER) and error is not None:
             there, back = loads(made.fault.names[: number + 1]), loads(made.fault.names[number + 1 :])
             assert back == there, f"operation {number}, {name}: {there} loads were begun, the way back did {back}"
@@ -118,7 +121,7 @@ def test_one_failure_of_any_operation_ends_in_the_old_mode_or_the_new(
     assert way.start in ends
 
 
-@pytest.mark.parametrize("way", [TWO_REGIONS, TO_FULL, BY_OVERLAY], ids=str)
+@pytest.mark.parametrize("way", [TWO_REGIONS, TO_FULL, BY_OVERLAY, UNLOADED], ids=str)
 def test_after_persistent_failures_the_status_says_what_is_known_of_the_board(
     made: Rig, sim: SimBoard, configs: dict[str, Config], way: Way
 ) -> None:
@@ -243,7 +246,9 @@ def test_register_values_that_are_recorded_during_a_change_do_not_hide_it(made: 
     assert last.pending is None
 
 
-@pytest.mark.parametrize(("way", "stride"), [(TWO_REGIONS, 1), (TO_FULL, 1), (TO_PARTIAL, 4), (BY_OVERLAY, 4)], ids=str)
+@pytest.mark.parametrize(
+    ("way", "stride"), [(TWO_REGIONS, 1), (TO_FULL, 1), (TO_PARTIAL, 4), (BY_OVERLAY, 4), (UNLOADED, 1)], ids=str
+)
 def test_a_manager_killed_at_any_operation_comes_back_knowing(
     sim: SimBoard, configs: dict[str, Config], tmp_path: Path, way: Way, stride: int
 ) -> None:
@@ -268,7 +273,7 @@ def test_a_manager_killed_at_any_operation_comes_back_knowing(
                 begin(again, way)
         loaded = sim.control.state()["loads"]
         number += stride
-    assert number > 15
+    assert number > 12
     assert way.start in ends
 
 

@@ -112,6 +112,18 @@ def test_a_schema_that_says_more_of_the_same_build_leaves_the_board_as_it_is(
         assert made.manager.plan(ChangeMode("duo", "default")).bytes == 0
 
 
+@pytest.mark.parametrize(("unload", "there"), [("-prr1", ("duo", "")), ("-*", ("", ""))])
+def test_of_an_unloaded_configuration_only_what_other_regions_hold_says_which_build_it_is(
+    sim: SimBoard, build: Build, tmp_path: Path, unload: str, there: tuple[str, str]
+) -> None:
+    config = build(DUO)
+    hold(sim, tmp_path / "state", config, "default")
+    with rig(sim.root, tmp_path / "state", config) as made:
+        assert made.go(unload, config="duo") is None
+    with rig(sim.root, tmp_path / "state", build(f"# more\n{DUO}")) as made:
+        assert told(made)[:2] == there
+
+
 def test_an_unchanged_schema_needs_none_of_its_files_at_the_start(sim: SimBoard, build: Build, tmp_path: Path) -> None:
     config = build(DUO)
     hold(sim, tmp_path / "state", config, "default")

@@ -64,6 +64,19 @@ def test_a_region_is_explained_by_the_change_that_loaded_it_and_by_what_came_aft
     assert "too early" not in line
 
 
+def test_a_region_that_was_unloaded_is_explained_by_the_change_that_did_it() -> None:
+    steps = (StepTaken("decouple", "prr0", 12 * S, 0.001), StepTaken("publish", "camera/no mode", 12 * S, 0.001))
+    why = "to unload prr0"
+    change = PastChange(3, "camera", "", "camera", "edge", ANNA, why, 12 * S, 13 * S, None, steps)
+    status = Status("camera", board="bench", regions=(RegionStatus("prr0", None, "decoupled"),))
+    unloaded = story(status, changes=(EDGE, change))
+    assert explain(unloaded)[0].startswith("bench is in no mode of camera since")
+    for line in (explain(unloaded)[0], *explain(unloaded, "prr0")):
+        assert f"asked for by {ANNA}, {why}" in line
+    assert explain(unloaded, "prr0")[0].startswith("prr0 is empty since")
+    assert "when prr0 was unloaded: change 3" in explain(unloaded, "focus")[0]
+
+
 def test_what_is_not_recorded_is_not_known() -> None:
     whole = "\n".join(explain(story(changes=())))
     assert "since when and why is not known" in whole

@@ -319,6 +319,11 @@ def test_a_change_within_a_configuration_touches_the_regions_of_its_modules() ->
     }
 
 
+def test_to_unload_touches_what_is_unloaded() -> None:
+    assert {region for _, region, _, _ in touched(rq.ChangeMode(unload="prr1"))} == {None, "prr1"}
+    assert {region for _, region, _, _ in touched(rq.ChangeMode(unload="*"))} == {None, "prr0", "prr1", "static"}
+
+
 def test_a_change_to_another_configuration_or_by_force_touches_everything() -> None:
     regions = {region for _, region, _, _ in touched(rq.ChangeMode("camera", "default"), EMPTY)}
     assert regions == {None, "prr0", "prr1", "static"}

@@ -23,8 +23,10 @@ ALL: list[Any] = [
     rq.ListConfigs(),
     rq.PlanChange("camera", "edge"),
     rq.PlanChange("camera"),
+    rq.PlanChange(unload="prr0"),
     CHANGE,
     rq.ChangeMode(name_or_mode="edge"),
+    rq.ChangeMode(unload=rq.WHOLE, lease="l"),
     rq.CancelChange(),
     rq.Provision("config: {}", (rq.File("a.bit", b"1", sha256=sha256(b"1").hexdigest()),)),
     rq.Provision("config: {}", change=rq.ChangeMode(mode="edge", force=True, lease="l"), lease="l"),
@@ -111,6 +113,7 @@ def test_a_message_is_the_request_whose_fields_it_has(topic: bytes, message: Any
             r"plan_mode are .* PlanChange \(config_name, plan, plan_mode",
         ),
         (b"cm_write_config", WriteConfig(cancel=True, mode="edge"), r"cancel, mode are no request together"),
+        (b"cm_write_config", WriteConfig(schema="s", unload="*"), r"schema, unload are no request together"),
         (
             b"cm_write_config",
             WriteConfig(config_name="a", mode="edge", remove=True),
