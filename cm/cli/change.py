@@ -50,7 +50,6 @@ def add_unload(parser: argparse.ArgumentParser) -> None:
         "needs the region. The configuration stays; cm load or cm mode brings the region back."
     )
     completes(parser.add_argument("region", nargs="?", default="", metavar="REGION", help="default: all"), "<region>")
-    add_lease_option(parser)
     add_board_options(parser, run_unload)
 
 
@@ -139,7 +138,7 @@ def _go(board: Board, args: argparse.Namespace, config: str, mode: str) -> int:
 def run_unload(args: argparse.Namespace) -> int:
     """Unload; the exit status."""
     with connected(args) as board:
-        seconds = board.unload(args.region, lease=args.lease)
+        seconds = board.unload(args.region, lease=own_lease())
         status = board.status
     told = {"config_name": status.config_name, "mode": status.mode, "seconds": seconds, "done": True}
     return answer(args, told, f"{where(status)}, after {seconds * 1000:.1f} ms")
