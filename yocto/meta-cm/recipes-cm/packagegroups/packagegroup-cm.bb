@@ -11,8 +11,7 @@ inherit packagegroup
 
 PACKAGES = "${PN} ${PN}-sim"
 
-RDEPENDS:${PN} = "kernel-module-cm-axidma-compat \
-                  kernel-module-cm-clock \
+RDEPENDS:${PN} = "kernel-module-cm-clock \
                   kernel-module-cm-dma \
                   kernel-module-cm-icap \
                   kernel-module-cm-intc \
