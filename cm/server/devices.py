@@ -17,7 +17,6 @@ from cm.device import (
     DeviceBusy,
     DeviceError,
     DeviceNotFound,
-    DmaBuffer,
     FpgaManager,
     GpioLine,
     Icap,
@@ -70,7 +69,7 @@ def port_memory(length: int, root: Root) -> DeviceMemory:
     """Likewise, of a configuration port only. Raises DeviceError; DeviceNotFound where there is none. Any thread."""
     port = Icap.open(root=root)
     try:
-        buffer = _with_address(port.allocate(length))
+        buffer = port.allocate(length)
     except BaseException:
         port.close()
         raise
@@ -88,7 +87,7 @@ def _of_channel(length: int, root: Root) -> DeviceMemory:
     for name in list_dma(root):
         try:
             with AxiDma.open(name, root) as channel:
-                buffer = _with_address(channel.allocate(length))
+                buffer = channel.allocate(length)
                 fd = os.dup(buffer.fd)
                 return DeviceMemory(fd, buffer.length, buffer.coherent, buffer.address, partial(os.close, fd))
         except DeviceBusy as error:
@@ -96,13 +95,6 @@ def _of_channel(length: int, root: Root) -> DeviceMemory:
     if busy is not None:
         raise busy
     raise NotFound("no device of this board gives memory: it has neither a configuration port nor a DMA channel")
-
-
-def _with_address(buffer: DmaBuffer) -> DmaBuffer:
-    if buffer.address:
-        return buffer
-    buffer.close()
-    raise NotFound("the kernel module does not report the addresses of memory: it is older than this package")
 
 
 class _OurFpgaManager(FpgaManager):

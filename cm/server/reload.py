@@ -6,11 +6,9 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
-from typing import Protocol
 
 from cm.errors import CmError
 from cm.frozen import dataclass
-from cm.manager.access.leases import Leases
 from cm.manager.manager import Manager
 from cm.schema.model import Config
 from cm.server.rights.model import Access
@@ -44,27 +42,6 @@ class ReloadContext:
     complete: Callable[[Config], Config]
     read: Callable[[], Reloaded] | None
     stamps: Callable[[], object] | None = None
-
-
-class Renewed(Protocol):
-    """A part that can be given other bounds."""
-
-    def renew(self, limits: Limits, /) -> None:
-        """Apply them from now on; what exceeds them already stays."""
-
-
-def renewal(
-    access: Callable[[Access], None], bounded: tuple[Renewed, ...], leases: Leases
-) -> Callable[[Reloaded], None]:
-    """Passes the new bounds to all parts that have them, in the loop's thread."""
-
-    def renew(found: Reloaded) -> None:
-        access(found.access)
-        for one in bounded:
-            one.renew(found.limits)
-        leases.renew(found.limits.leases, found.limits.leases_each)
-
-    return renew
 
 
 class Reloader:

@@ -22,14 +22,6 @@ from cm.wire.messages import requests as rq
 from cm.wire.request_table import BY_KIND as ON_THE_WIRE
 
 
-def _is_memory(request: rq.WriteData, manager: Manager) -> bool:
-    return _memory(request.stream, manager) is not None
-
-
-def _always(_: rq.WriteReg, __: Manager) -> bool:
-    return True
-
-
 def _memory(name: str, manager: Manager) -> Memory | None:
     try:
         return manager.memories.find(name)
@@ -73,7 +65,8 @@ ROWS = (
     _row(rq.RemoveConfig, do.remove_config, PROVISION, touched.named_config, TO_CHANGE, counted=True),
     _row(rq.ReadReg, do.read_reg, OBSERVE, touched.registers, IN_LINE),
     _row(
-        rq.WriteReg, do.write_reg, OPERATE, touched.registers, TO_WRITE, writes=_registers, behind_memory=_always
+        rq.WriteReg, do.write_reg, OPERATE, touched.registers, TO_WRITE,
+        writes=_registers, behind_memory=lambda *_: True,
     ),
     _row(rq.DescribeData, do.describe_data, OBSERVE, touched.data, IN_LINE),
     _row(rq.ConfigureStream, do.configure_stream, OPERATE, touched.data, TO_WRITE, writes=_data),
@@ -81,7 +74,7 @@ ROWS = (
     _row(rq.ReadData, do.read_data, OBSERVE, touched.data, IN_LINE, counted=True),
     _row(
         rq.WriteData, do.write_data, OPERATE, touched.data, TO_WRITE,
-        writes=_data, behind_memory=_is_memory, counted=True, uploads=True,
+        writes=_data, behind_memory=lambda r, m: _memory(r.stream, m) is not None, counted=True, uploads=True,
     ),
     _row(rq.Upload, do.upload, OPERATE, touched.nothing, IN_LINE),
     _row(rq.CheckRegion, do.check_region, OPERATE, touched.region, IN_LINE),

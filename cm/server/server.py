@@ -30,7 +30,7 @@ from cm.server.options import NO_METRICS, Options
 from cm.server.private_folders import Locks, private_folder
 from cm.server.provision import Provisioner
 from cm.server.publisher import Publisher, StatusTold, mark
-from cm.server.reload import ReloadContext, Reloader, renewal
+from cm.server.reload import ReloadContext, Reloaded, Reloader
 from cm.server.request_handlers import Services
 from cm.server.rights.admission import Gate
 from cm.server.rights.policy import system_users
@@ -134,10 +134,9 @@ class Server:
 
     def _make_reloader(self) -> Reloader:
         o = self._options
-        bounded = self._clients, self._uploads, self._streams, self._provisioner
         context = ReloadContext(
             manager=self._manager,
-            renew=renewal(self._sessions.renew, bounded, self._manager.leases),
+            renew=self._renew,
             service=self._service,
             thread=self._files.thread,
             in_loop=self._loop.call_threadsafe,
@@ -147,6 +146,13 @@ class Server:
             stamps=o.changed,
         )
         return Reloader(context, o.configs)
+
+    def _renew(self, found: Reloaded) -> None:
+        """Apply other settings to what they bound; what exceeds a limit already stays."""
+        self._sessions.renew(found.access)
+        for part in (self._clients, self._uploads, self._streams, self._provisioner):
+            part.renew(found.limits)
+        self._manager.leases.renew(found.limits.leases, found.limits.leases_each)
 
     def _services(self) -> Services:
         return Services(
@@ -175,7 +181,8 @@ class Server:
         """Bind, reconcile, serve. Returns after `stop()`. Raises CmError if it cannot begin."""
         try:
             metrics = self._bind()
-            self._start_manager()
+            self._manager.start()  # what it finds out is logged with the status that tells it
+            self._board.begin()
             self._begin_scrubbing()
             self._loop.every(_TICK, self._tick)
             self._sockets.announce(metrics)
@@ -221,10 +228,6 @@ class Server:
             return ""
         self._metrics = Metrics(self._services(), self._dispatcher)
         return self._metrics.open(self._options.metrics)
-
-    def _start_manager(self) -> None:
-        self._manager.start()  # what it finds out is logged with the status that tells it
-        self._board.begin()
 
     def _begin_scrubbing(self) -> None:
         if self._options.scrub:

@@ -147,13 +147,14 @@ class Sockets:
         """Bind three ports in a row, from any that are free for port 0; returns where. Raises InvalidRequest."""
         self._secure(security)
         host, port = split_tcp(address)
-        self.tcp.append(self._bind_all(tcp_endpoints(address)) if port else self._bind_any(host))
-        return self.tcp[-1]
-
-    def _bind_all(self, wanted: Endpoints) -> Endpoints:
-        for socket, endpoint in zip(self.all, (wanted.pub, wanted.sub, wanted.req), strict=True):
-            _bind(socket, endpoint)
-        return wanted
+        if port:
+            bound = tcp_endpoints(address)
+            for socket, endpoint in zip(self.all, (bound.pub, bound.sub, bound.req), strict=True):
+                _bind(socket, endpoint)
+        else:
+            bound = self._bind_any(host)
+        self.tcp.append(bound)
+        return bound
 
     def _bind_any(self, host: str) -> Endpoints:
         """Bind free ports: clients get one port and use the next two as well, so three in a row have to be free."""
@@ -258,7 +259,9 @@ class Loop(EventLoop):
         multipart.send(socket, frames, flags)
 
     def _wait(self, milliseconds: int) -> None:
-        taken = self._look_again() if self._unlooked else False  # this may have set new timers
+        taken = False
+        for watched in tuple(self._unlooked) if self._unlooked else ():  # this may set new timers
+            taken = self._look(watched) or taken
         for source, _ in zmq_poll(self._waited, 0 if taken or self._unlooked else milliseconds):
             try:
                 self._takes[source]()
@@ -274,10 +277,6 @@ class Loop(EventLoop):
             self._guarded(watched.take)
         self._unlooked.add(watched)
         return True
-
-    def _look_again(self) -> bool:
-        taken = [self._look(watched) for watched in tuple(self._unlooked)]
-        return any(taken)
 
     def _failed(self, error: Exception) -> None:
         _LOG.error("a callback failed", exc_info=error)

@@ -174,20 +174,14 @@ def encode_table(info: st.ConfigInfo) -> bytes:
 
 def decode_table(data: bytes) -> st.ConfigInfo:
     """The inverse of `encode_table`. Raises InvalidRequest."""
-    try:
-        return protobuf_messages.CONFIG.from_pb(pb.Config.FromString(data))
-    except DecodeError as error:
-        raise InvalidRequest(f"the registers of a window: {error}") from error
+    return protobuf_messages.CONFIG.from_pb(parsed(pb.Config, data))
 
 
 def decode_reply(frames: Sequence[Frame]) -> st.Reply:
     """``[topic][Reply][payload…]`` → the reply. Raises InvalidRequest for anything else."""
     if len(frames) < 2:
         raise InvalidRequest(f"a reply of {len(frames)} frames; [topic][Reply][payload…] is expected")
-    try:
-        message = pb.Reply.FromString(bytes(frames[1]))
-    except DecodeError as problem:
-        raise InvalidRequest(f"a reply that is not a Reply message: {problem}") from problem
+    message = parsed(pb.Reply, bytes(frames[1]))
     field = message.WhichOneof("body")
     return st.Reply(
         body=_FROM_FIELD[field](getattr(message, field)) if field else None,
@@ -263,16 +257,11 @@ def decode_event(frames: Sequence[Frame]) -> Event:
     entry = _EVENTS.get(b"cm_stream" if topic.startswith((topics.STREAM_PREFIX, topics.LZ4_PREFIX)) else topic)
     if entry is None or len(frames) < 2:
         raise InvalidRequest(f"no event is published as {topic!r} with {len(frames)} frames")
-    message = entry[0]()
-    try:
-        message.ParseFromString(bytes(frames[1]))
-    except DecodeError as problem:
-        raise InvalidRequest(f"{topic.decode(errors='backslashreplace')}: {problem}") from problem
-    event: Event = entry[1](message)
+    event: Event = entry[1](parsed(entry[0], bytes(frames[1])))
     return event
 
 
-_EVENTS: dict[bytes, tuple[Callable[[], Any], Callable[[Any], Any]]] = {
+_EVENTS: dict[bytes, tuple[type[Message], Callable[[Any], Any]]] = {
     topics.STATUS: (pb.Status, protobuf_messages.STATUS.from_pb),
     topics.READ_REG: (pb.RegValues, protobuf_messages.registers_from_pb),
     topics.IRQ: (pb.Irq, protobuf_messages.IRQ.from_pb),

@@ -16,20 +16,15 @@ def kinds() -> frozenset[str]:
     return frozenset(pb.DESCRIPTOR.message_types_by_name)
 
 
-def _class_of(kind: str) -> type[Message]:
-    found: type[Message] = getattr(pb, kind)
-    return found
-
-
 def to_json(kind: str, data: bytes) -> str:
     """A serialised message of the named kind, such as "Status", as JSON. Raises InvalidRequest."""
-    message = parsed(_class_of(kind), data)
+    message = parsed(getattr(pb, kind), data)
     return json_format.MessageToJson(message, preserving_proto_field_name=True, indent=None)
 
 
 def from_json(kind: str, text: str | bytes) -> bytes:
     """JSON as a serialised message. Raises InvalidRequest that says which field is wrong."""
-    message = _class_of(kind)()
+    message: Message = getattr(pb, kind)()
     try:
         json_format.Parse(text, message)
     except (json_format.ParseError, UnicodeDecodeError) as problem:

@@ -82,14 +82,6 @@ class FrameSeen(NamedTuple):
     sha256: bytes = b""
 
 
-def _frame_seen(m: pb.FrameSeen) -> FrameSeen:
-    return FrameSeen(protobuf_messages.FRAME.from_pb(m.frame), m.kept, m.sha256)
-
-
-def _gap(m: pb.Gap) -> Gap:
-    return Gap(m.topic, m.from_ns, m.until_ns, m.messages, m.bytes, m.cause, m.text)
-
-
 _OURS: Mapping[str, tuple[Any, Callable[[Any], Any]]] = {
     "Status": (pb.Status, protobuf_messages.STATUS.from_pb),
     "Config": (pb.Config, protobuf_messages.CONFIG.from_pb),
@@ -97,8 +89,8 @@ _OURS: Mapping[str, tuple[Any, Callable[[Any], Any]]] = {
     "Irq": (pb.Irq, protobuf_messages.IRQ.from_pb),
     "Audit": (pb.Audit, protobuf_messages.AUDIT.from_pb),
     "Clock": (pb.Clock, lambda m: Clock(m.monotonic_ns, m.realtime_ns)),
-    "Gap": (pb.Gap, _gap),
-    "FrameSeen": (pb.FrameSeen, _frame_seen),
+    "Gap": (pb.Gap, lambda m: Gap(*[getattr(m, name) for name in Gap._fields])),
+    "FrameSeen": (pb.FrameSeen, lambda m: FrameSeen(protobuf_messages.FRAME.from_pb(m.frame), m.kept, m.sha256)),
     "FrameData": (pb.FrameData, lambda m: m.data),
 }
 

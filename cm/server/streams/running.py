@@ -438,16 +438,17 @@ class Streams:
 
     def quiesce(self, streams: Collection[str]) -> None:
         """Stop streams; when this returns, their transfers have ended."""
-        self._loop.ask(lambda: self._hold(streams))
+
+        def hold() -> None:
+            for name in streams:
+                self._driver.stop(name)
+                self._lifecycle.machine(name).after(StreamEvent.HOLD)
+
+        self._loop.ask(hold)
 
     def resume(self, config: Config | None, mode: str | None, held: Mapping[str, str | None]) -> None:
         """Switch to the streams of this mode; `held`: the module in each region."""
         self._loop.ask(lambda: self._enter(config, mode, held))
-
-    def _hold(self, names: Collection[str]) -> None:
-        for name in names:
-            self._driver.stop(name)
-            self._lifecycle.machine(name).after(StreamEvent.HOLD)
 
     def _enter(self, config: Config | None, mode: str | None, held: Mapping[str, str | None]) -> None:
         for name in self._lifecycle.enter(config, mode, held):

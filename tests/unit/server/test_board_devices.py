@@ -118,17 +118,15 @@ def test_a_board_without_what_lends_registers_says_why(tmp_path: Path, monkeypat
 
 
 class Gives:
-    """A port or channel that gives memory; `log`: what was done. Without an address its kernel module is an old one."""
+    """A port or channel that gives memory; `log`: what was done."""
 
-    def __init__(self, name: str, log: list[str], kind: str) -> None:
-        self.name, self.log, self.address = name, log, 0 if kind == "old" else 0x1000
+    def __init__(self, name: str, log: list[str]) -> None:
+        self.name, self.log = name, log
 
     def allocate(self, length: int) -> Any:
         self.log.append(f"{self.name} gives {length}")
         fd = os.memfd_create("memory")
-        return SimpleNamespace(
-            fd=fd, length=8, coherent=True, address=self.address, close=lambda: self._closed("memory", fd)
-        )
+        return SimpleNamespace(fd=fd, length=8, coherent=True, address=0x1000, close=lambda: self._closed("memory", fd))
 
     def _closed(self, what: str, fd: int = -1) -> None:
         self.log.append(f"close {what}")
@@ -149,9 +147,7 @@ class Gives:
     ("there", "did", "refused"),
     [
         ({"port": ""}, ["port gives 5", "close memory", "close port"], None),
-        ({"port": "old", "a": ""}, ["port gives 5", "close memory", "close port"], "it is older than this package"),
         ({"a": "busy", "b": "", "c": ""}, ["b gives 5", "close b"], None),
-        ({"a": "old"}, ["a gives 5", "close memory", "close a"], "does not report the addresses of memory"),
         ({"a": "busy", "b": "busy"}, [], "b is open"),
         ({}, [], "no device of this board gives memory: it has neither a configuration port nor a DMA channel"),
     ],
@@ -168,7 +164,7 @@ def test_memory_is_that_of_the_port_or_else_of_a_channel_that_is_free(
             raise DeviceNotFound(errno.ENOENT, f"no {name}")
         if there[name] == "busy":
             raise DeviceBusy(errno.EBUSY, f"{name} is open")
-        return Gives(name, log, there[name])
+        return Gives(name, log)
 
     monkeypatch.setattr(devices, "Icap", SimpleNamespace(open=lambda root: open_("port", root)))
     monkeypatch.setattr(devices, "AxiDma", SimpleNamespace(open=open_))
