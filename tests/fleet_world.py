@@ -47,6 +47,8 @@ class SimStore:
     async def _asked(self, work: Callable[[Ledger], Any]) -> Any:
         world = self.world
         await world.turn()
+        if world.slow and self.whose == "coordinator":
+            await world.sleep(world.slow)
         if world.store_down or (self.lossy and world.lost()):
             raise StoreAway("the store is away")
         world.ledger.expire()
@@ -238,6 +240,7 @@ class World:
         self.now, self.lossy, self.store_down = 0.0, True, False
         self.asked = 0  # requests of those in trouble that reached the store, of which one may end badly
         self.trouble, self.trouble_at, self.troubled = "", 0, ("board", "coordinator")  # refused, lost, asked again
+        self.slow = 0.0  # seconds that a request of a coordinator takes to the store
         self.waiting: list[asyncio.Future[None]] = []
         self.sleeping: list[tuple[float, asyncio.Future[None]]] = []
         self.again: list[Callable[[Ledger], Any]] = []

@@ -182,6 +182,21 @@ def test_two_changes_of_the_same_boards_come_one_after_the_other() -> None:
         asyncio.run(one(seed))
 
 
+@pytest.mark.parametrize("seconds", [0.3, 3.0])
+def test_boards_that_are_asked_before_the_store_wait_for_its_word_and_are_asked_again(seconds: float) -> None:
+    world = World(1, 3)
+    world.lossy, world.slow = False, seconds
+
+    async def run() -> None:
+        client = asyncio.create_task(world.change("anna", ("camera", "edge"), sorted(world.boards), Policy.ALL))
+        await world.run(client)
+        assert client.result().decision is Decision.KEEP
+        assert client.result().differing == {}
+        assert [leg.phase for leg in client.result().legs] == ["open", "prepare", "apply", "decide", "reconcile"]
+
+    asyncio.run(run())
+
+
 @pytest.mark.parametrize("first", ["the fleet", "an operator"])
 def test_what_is_newer_counts_whoever_notices_it_when(first: str) -> None:
     """A board whose bridge is away is wanted elsewhere, and taken elsewhere by hand: in either order."""

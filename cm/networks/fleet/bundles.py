@@ -17,7 +17,8 @@ from cm.networks.fleet.zenoh_session import zenoh_module
 from cm.wire.messages.fleet import FetchBundle
 
 PART = 1 << 20  # bytes that have a hash of their own
-_LEAST, _MOST = 1 << 11, 1 << 18  # bytes of a piece, of which a part is made
+_LEAST, _MOST = 5 << 9, 1 << 18  # bytes of a piece, of which a part is made
+_WORDS = 400  # bytes of the fleet's that may come behind a piece, of a change before which no further one is asked for
 _WORTH = 0.2  # seconds that a piece takes; one is under way at a time
 _TIMEOUT = 20.0  # seconds for a piece
 PATIENCE = 10.0  # seconds until all routers know a sender
@@ -43,15 +44,15 @@ def described(archive: Path, part_length: int = PART) -> FetchBundle:
     return FetchBundle(whole.hexdigest(), length, tuple(parts), part_length, archive.name)
 
 
-def part_key(sha256: str, part: str) -> str:
-    """Parts are named by their own hash, so that anyone may serve them."""
-    return f"{keys.BUNDLES}/origin/{sha256}/{part}"
+def part_key(sha256: str, part: int | str) -> str:
+    """Short, as each piece is asked for by it and comes under it. Earlier boards ask by whole hashes, of parts too."""
+    return f"{keys.BUNDLES}/origin/{sha256[:16]}/{part}"
 
 
 @contextmanager
 def offered(session: Any, archive: Path, bundle: FetchBundle) -> Iterator[Callable[[], int]]:
     """Serve pieces of the parts of an archive; gives a function that says how many bytes have been sent so far."""
-    places = {part: number * bundle.part_length for number, part in enumerate(bundle.parts)}
+    places = {name: n * bundle.part_length for n, part in enumerate(bundle.parts) for name in (part, str(n))}
     sent = [0]
 
     def answer(query: Any) -> None:
@@ -65,11 +66,13 @@ def offered(session: Any, archive: Path, bundle: FetchBundle) -> Iterator[Callab
                 sent[0] += len(data)
                 query.reply(str(query.key_expr), data)
 
-    queryable = session.declare_queryable(part_key(bundle.sha256, "*"), answer, complete=True)
+    where = part_key(bundle.sha256, "*"), f"{keys.BUNDLES}/origin/{bundle.sha256}/*"
+    queryables = [session.declare_queryable(each, answer, complete=True) for each in where]
     try:
         yield lambda: sent[0]
     finally:
-        queryable.undeclare()
+        for queryable in queryables:
+            queryable.undeclare()
 
 
 def fetched(
@@ -87,10 +90,10 @@ def fetched(
             begin, end = number * bundle.part_length, time.monotonic() + patience
             last = min(begin + bundle.part_length, bundle.length)
             while not _is_part(file, begin, last, bundle.parts[number]):
-                here, part = file.tell(), bundle.parts[number]
+                here = file.tell()
                 if time.monotonic() > end:
-                    raise PartMissing(f"{bundle.name}: nobody offers part {part[:12]} ({here} bytes are here)")
-                _append(session, bundle, part, file, begin, last, pace, busy)
+                    raise PartMissing(f"{bundle.name}: nobody offers part {number} ({here} bytes are here)")
+                _append(session, part_key(bundle.sha256, number), file, begin, last, pace, busy)
                 if file.tell() < last:
                     end = time.monotonic() + patience if file.tell() > here else end
                     time.sleep(_BETWEEN_TRIES)
@@ -127,20 +130,21 @@ def _is_part(file: BinaryIO, begin: int, last: int, part: str) -> bool:
 
 
 def _append(
-    session: Any, bundle: FetchBundle, part: str, file: BinaryIO, begin: int, last: int, pace: Pace,
-    busy: Callable[[], bool],
-) -> None:  # fmt: skip
+    session: Any, key: str, file: BinaryIO, begin: int, last: int, pace: Pace, busy: Callable[[], bool]
+) -> None:
     """The pieces of a part, one after the other, until one does not come."""
     last_in_line = zenoh_module().Priority.BACKGROUND  # the fleet's own words go first; answers have it, too
     while (at := file.tell()) < last:
         while busy():
             time.sleep(_BETWEEN_TRIES)
         length, begun = min(pace.length, last - at), time.monotonic()
-        where = f"{part_key(bundle.sha256, part)}?from={at - begin};length={length}"
+        where = f"{key}?from={at - begin};length={length}"
         replies = session.get(where, timeout=_TIMEOUT, priority=last_in_line)
         data = next((bytes(reply.ok.payload) for reply in replies if reply.ok is not None), b"")
         if len(data) != length:
             return
         file.write(data)
         file.flush()
-        pace.took(length, time.monotonic() - begun)
+        seconds = time.monotonic() - begun
+        pace.took(length, seconds)
+        time.sleep(seconds * _WORDS / length)

@@ -21,6 +21,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequenc
 from dataclasses import dataclass, field
 
 from cm.errors import Busy
+from cm.networks.fleet.reconciling_board import NotNow
 from cm.networks.fleet.store import (
     BOARDS,
     GENERATION,
@@ -277,11 +278,18 @@ class Coordinator:
         return found
 
     async def _leg(self, phase: str, boards: Sequence[str], step: FleetStep) -> _Asked:
-        """Ask all at once, if that was not begun already; the last to answer is the slowest."""
+        """Ask all at once, if that was not begun already, and again who had not heard of the store's word by then."""
         early, self._early = self._early, None
         found = await (early or self._answers(phase, boards, step))
+        if early and (unaware := [name for name, answer in found.items() if self._unaware(phase, answer)]):
+            found |= await self._answers(phase, unaware, step)
         self._leg_ended(phase, next(reversed(found), ""))
         return found
+
+    def _unaware(self, phase: str, answer: FleetState | ErrorInfo) -> bool:
+        if isinstance(answer, ErrorInfo):
+            return phase == "prepare" and answer.code == NotNow.code
+        return phase == "reconcile" and answer.change == self.change
 
     def _leg_ended(self, phase: str, slowest: str = "") -> None:
         before, self._ended = self._ended, self.clock()
@@ -361,10 +369,7 @@ class Coordinator:
         return Decision.REVERT
 
     async def _reconcile(self) -> None:
-        """Have all that are there look at what is wanted of them now; again those that did not know it yet."""
+        """Have all that are there look at what is wanted of them now."""
         answers = await self._leg("reconcile", self._there_now, FleetStep(self.change))
-        early = [n for n, answer in answers.items() if isinstance(answer, FleetState) and answer.change == self.change]
-        if early and self.course.decision is Decision.KEEP:
-            answers |= await self._leg("reconcile", early, FleetStep(self.change))
         self.course.states = {name: answer for name, answer in answers.items() if isinstance(answer, FleetState)}
         self.course.silent |= {name: answer for name, answer in answers.items() if isinstance(answer, ErrorInfo)}
