@@ -67,8 +67,8 @@ def test_a_piece_is_as_long_as_comes_in_a_fifth_of_a_second_and_never_much_longe
     for rate in (8_000, 8_000, 1e6, 1e6, 1e6, 1e9, 1e5, 100):  # bytes a second
         lengths.append(pace.length)
         pace.took(pace.length, pace.length / rate)
-    assert lengths == [2048, 2048, 2048, 4096, 8192, 16384, 32768, 20000]
-    assert pace.length == 2048
+    assert lengths == [2560, 2560, 2560, 5120, 10240, 20480, 40960, 20000]
+    assert pace.length == 2560
 
 
 def test_nothing_is_fetched_while_a_change_is_open(router: Router, packed: Path, tmp_path: Path) -> None:
