@@ -28,9 +28,10 @@ from cm.client.find_manager import Keys, find
 from cm.client.interrupts import Interrupts
 from cm.client.lease import BoardLease
 from cm.client.memories import Memories, Memory
-from cm.client.progress import OnProgress, Shown
+from cm.client.progress import OnProgress, Shown, ipython_shell
 from cm.client.registers import Registers
 from cm.client.request_reply import Link, Subscription
+from cm.errors import CmError
 from cm.wire.messages import notebook
 from cm.wire.messages import requests as rq
 from cm.wire.messages.requests import ConfigureStream, DefineMemory
@@ -91,6 +92,8 @@ def connect(
     except BaseException:  # also Ctrl-C while no manager answers
         board.close()
         raise
+    if (shell := ipython_shell()) is not None:
+        shell.extension_manager.load_extension("cm.client.ipython")
     return board
 
 
@@ -519,8 +522,17 @@ class Board(Guarded):
         return notebook.paragraph(repr(self)) + ("" if self._sockets.closed else notebook.status(self.status))
 
     def _repr_pretty_(self, printer: Any, cycle: bool) -> None:  # noqa: ARG002 (IPython's)
-        """For IPython in a terminal: the same; `repr` itself asks nobody."""
-        printer.text(repr(self) if self._sockets.closed else f"{self!r}\n{self.status}")
+        """For IPython in a terminal."""
+        printer.text(str(self))
+
+    def __str__(self) -> str:
+        """Where it is, and its status now, in a few lines; `repr` asks nobody."""
+        if self._sockets.closed:
+            return repr(self)
+        try:
+            return f"{self!r}\n{self.status}"
+        except CmError as error:
+            return f"{self!r}\n{error}"
 
     def __repr__(self) -> str:
         return f"<board at {self._place.endpoints.req}{', closed' if self._sockets.closed else ''}>"

@@ -103,12 +103,15 @@ class _Html:
         return ""
 
 
+def ipython_shell() -> Any:
+    """The session of IPython that this process runs; None where it is none."""
+    ipython = sys.modules.get("IPython")
+    return ipython.get_ipython() if ipython is not None else None
+
+
 def notebook_display() -> Callable[..., Any] | None:
     """IPython's `display` if this process is a notebook's kernel, where it is imported already."""
-    ipython = sys.modules.get("IPython")
-    shell = ipython.get_ipython() if ipython is not None else None
-    found: Callable[..., Any] | None = ipython.display.display if ipython and hasattr(shell, "kernel") else None
-    return found
+    return sys.modules["IPython"].display.display if hasattr(ipython_shell(), "kernel") else None
 
 
 class Shown:

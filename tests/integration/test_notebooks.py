@@ -85,6 +85,12 @@ TYPED = {
     'board.interrupts["fra': "frame_done",
     'board.memories["scr': "scratchpad",
     "cm.conn": "connect",
+    'board.mode = "edge': "edge_detection",
+    "board.set_mode('edge": "edge_detection",
+    'board.load("cam': "camera",
+    'board.load("camera", mode="edge': "edge_detection",
+    'x = board.stream("from': "from_pl",
+    'board.unload("prr1': "prr1",
 }
 
 

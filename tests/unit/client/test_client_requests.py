@@ -347,7 +347,7 @@ def test_registers_are_answered_by_name(manager: Manager, client: Callable[..., 
 
 
 def _pretty(board: Any) -> str:
-    """As IPython shows it in a terminal."""
+    """As IPython shows it in a terminal, and print anywhere."""
     said: list[str] = []
     board._repr_pretty_(SimpleNamespace(text=said.append), False)
     return "".join(said)
