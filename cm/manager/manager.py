@@ -127,7 +127,7 @@ class Manager:
     @property
     def mapped(self) -> tuple[WindowStatus, ...]:
         """Who has which registers mapped."""
-        return self._windows.told() if self._windows is not None else ()
+        return self._windows.statuses() if self._windows is not None else ()
 
     def publish_to(self, table: RegisterTable) -> None:
         """From now on withdraw what `registers.offer` puts there, wherever a name may lead elsewhere."""

@@ -71,22 +71,22 @@ class BoardWatch:
         self._interrupts.watch(self._manager.loaded_config())
         self._begin()
 
-    def noticed(self, error: Exception) -> None:
+    def notice_error(self, error: Exception) -> None:
         """A request met an error; if the board has gone, nothing is known of it any more."""
         if isinstance(error, DeviceGone):
             self._manager.board_lost(error)
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Deal with a board that was restarted, that slept, or that others have loaded; called now and then."""
-        self._look_for_restart()
-        self._look_for_sleep()
-        self._look_for_others()
+        self._check_restart()
+        self._check_sleep()
+        self._check_other_loads()
 
     def close(self) -> None:
         """Watch nothing any more."""
         self._others.close()
 
-    def _look_for_restart(self) -> None:
+    def _check_restart(self) -> None:
         """A restarted board holds nothing of what is recorded."""
         boot_id = self._boot_id()
         if boot_id == self._known or not boot_id or self._manager.status().fpga_busy:
@@ -105,7 +105,7 @@ class BoardWatch:
         except CmError as error:  # what the start asked for may have been removed since
             _LOG.error("the board was restarted, and nothing is loaded: %s", error)
 
-    def _look_for_sleep(self) -> None:
+    def _check_sleep(self) -> None:
         """While the machine slept, the PL may have been without power."""
         if not self._sleep.slept() or self._manager.changing:
             return
@@ -116,7 +116,7 @@ class BoardWatch:
             return
         self._sleep.noted()
 
-    def _look_for_others(self) -> None:
+    def _check_other_loads(self) -> None:
         """What other programs have loaded, or removed; what they do while a change runs is seen after it."""
         manager = self._manager
         if manager.changing:

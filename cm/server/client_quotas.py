@@ -160,7 +160,7 @@ class Client:
         """Whether a reply of that many bytes may be made for it now: whether it reads what it requests."""
         if not self._is_full(reply):
             return True
-        self._all.look_at_replies()
+        self._all.count_unread()
         return not self._is_full(reply)
 
     def _is_full(self, reply: int) -> bool:
@@ -205,9 +205,9 @@ class Client:
         self.unread_of[sender] = self.unread_of.get(sender, 0) + size
         self.unread_bytes += size
         if self._sent[0][0].done:
-            self.look_at_replies()
+            self.count_unread()
 
-    def look_at_replies(self) -> None:
+    def count_unread(self) -> None:
         """Count those that were read."""
         if self._sent:
             self._sent = deque([sent for sent in self._sent if not sent[0].done])
@@ -232,7 +232,7 @@ class Clients:
         self._named: dict[str, Client] = {}
         self.users: dict[str, User] = {}
         self.known: dict[str, Client] = {}  # by connection
-        self._next_look = 0  # when, in nanoseconds
+        self._next_count = 0  # when, in nanoseconds
         self.untold: dict[bytes, int] = {}  # of who replies: bytes over each connection since the last tracked one
 
     def __iter__(self) -> Iterator[Client]:
@@ -264,17 +264,17 @@ class Clients:
         """Of all clients."""
         return sum([client.upload_bytes for client in self])
 
-    def look_at_replies(self) -> None:
+    def count_unread(self) -> None:
         """Count the replies that were read, of all clients, unless that was done just now."""
         began = monotonic_ns()
-        if began >= self._next_look:
+        if began >= self._next_count:
             for client in self:
-                client.look_at_replies()
-            self._next_look = monotonic_ns() + max(_LOOK, _REST * (monotonic_ns() - began))
+                client.count_unread()
+            self._next_count = monotonic_ns() + max(_LOOK, _REST * (monotonic_ns() - began))
 
     def settle(self) -> None:
         """Once in a while: keep what is remembered of clients that may have gone within bounds."""
-        self.look_at_replies()
+        self.count_unread()
         if len(self.untold) > _SENDERS:
             self.untold.clear()
         if max(len(self._named), len(self.known)) > _REMEMBERED:
@@ -289,11 +289,11 @@ class Clients:
         for gone in [key for key, client in self.known.items() if client.name not in self._named]:
             del self.known[gone]
 
-    def told(self, connections: Mapping[str, int]) -> tuple[ClientStatus, ...]:
+    def statuses(self, connections: Mapping[str, int]) -> tuple[ClientStatus, ...]:
         """What every client has now; `connections`: how many lead to each place. Leases and slots: `with_holdings`."""
-        self.look_at_replies()
+        self.count_unread()
         self._forget(connections)
-        return tuple([_told(client, connections) for _, client in sorted(self._named.items())])
+        return tuple([_status(client, connections) for _, client in sorted(self._named.items())])
 
 
 def place_of(pid: int | None, address: str) -> str:
@@ -311,7 +311,7 @@ def _name_of(who: Principal) -> str:
         return f"pid {who.pid}"
 
 
-def _told(client: Client, connections: Mapping[str, int]) -> ClientStatus:
+def _status(client: Client, connections: Mapping[str, int]) -> ClientStatus:
     return ClientStatus(
         name=client.name,
         connections=connections.get(client.place, 0),

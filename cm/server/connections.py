@@ -192,9 +192,9 @@ class Sessions:
         """Apply another policy from now on; end sessions whose rights differ under it."""
         self._end(self.gate.renew(access))
 
-    def look(self) -> None:
+    def end_expired(self) -> None:
         """End the sessions of keys that have expired; called now and then."""
-        self.gate.audit.look()
+        self.gate.audit.flush()
         keys = self.gate.expired()
         if keys:
             self._end(lambda who: who.key in keys)

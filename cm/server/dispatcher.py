@@ -92,11 +92,11 @@ class Dispatcher:
         client.sender = user.sender = sender
         if any(before):
             self._keep(client, came)
-            self._go_on()
+            self._serve_next()
         else:
             self._serve(came, client)
 
-    def _go_on(self) -> None:
+    def _serve_next(self) -> None:
         """Read what came meanwhile, and serve the client whose turn it is."""
         try:
             for _ in range(_AHEAD):
@@ -114,7 +114,7 @@ class Dispatcher:
         finally:
             self._waits = bool(self._kept)
             if self._waits:
-                self._loop.call_soon(self._go_on)
+                self._loop.call_soon(self._serve_next)
         self._serve(came, client)
 
     def _keep(self, client: Client, came: Message) -> None:

@@ -34,7 +34,7 @@ class _Line:
     last: int | None = None
     new: int = 0  # interrupts since the one before
     waiting: deque[list[Interrupt]] = field(default_factory=deque)  # fired, not looked at yet: by status register
-    told: bool = False  # whether it was reported that it stays masked
+    reported: bool = False  # that it stays masked
 
 
 class InterruptWatch:
@@ -118,7 +118,7 @@ class InterruptWatch:
         except (CmError, OSError) as error:
             self._keep_masked(line, error)
             return
-        line.told = False
+        line.reported = False
         try:
             line.uio.enable_interrupt()
         except OSError as error:
@@ -139,8 +139,8 @@ class InterruptWatch:
         """Report this once; not while a change runs, since its end is awaited as for any access to its regions."""
         self.incomplete = True
         names = ", ".join(interrupt.name for interrupt in line.waiting[0])
-        if not line.told and not self._manager.changing:
-            line.told = True
+        if not line.reported and not self._manager.changing:
+            line.reported = True
             code = error.code if isinstance(error, CmError) else "device_error"
             self._on_error(ErrorInfo(code, f"interrupt {names} is masked until it can be acknowledged: {error}"))
         self._try_again()

@@ -22,7 +22,7 @@ class RoundRobin:
         self._loop = loop
         self._ring: Ring[Iterator[object]] = Ring()
         self._late = 0  # owners one after another that could do nothing, of what runs
-        self._called = False
+        self._is_scheduled = False
 
     def count(self, user: object) -> int:
         """How much of a user's work waits."""
@@ -35,7 +35,7 @@ class RoundRobin:
         """
         self._ring.add((id(steps), 0) if turn is None else turn, steps)
         self._late = 0
-        self._come_back()
+        self._schedule()
 
     def start(self, client: Client, steps: Iterator[object]) -> None:
         """Take a client's steps after those that it has begun before, the first at once if nothing else waits.
@@ -51,13 +51,13 @@ class RoundRobin:
         if alone:
             self._step()
 
-    def _come_back(self) -> None:
-        if not self._called:
-            self._called = True
-            self._loop.call_soon(self._go_on)
+    def _schedule(self) -> None:
+        if not self._is_scheduled:
+            self._is_scheduled = True
+            self._loop.call_soon(self._run_scheduled)
 
-    def _go_on(self) -> None:
-        self._called = False
+    def _run_scheduled(self) -> None:
+        self._is_scheduled = False
         if self._ring:
             self._step()
 
@@ -70,10 +70,10 @@ class RoundRobin:
             self._late = self._late + 1 if said is NOT_YET else 0
         finally:
             if self._ring and self._late < len(self._ring):
-                self._come_back()
+                self._schedule()
             elif self._ring:
                 self._late = 0
-                self._loop.call_later(_STEP_INTERVAL, self._come_back)
+                self._loop.call_later(_STEP_INTERVAL, self._schedule)
 
     def close(self) -> None:
         """Forget what waits."""
@@ -102,14 +102,14 @@ class FileThread:
         if self._waiting.count(client.account) >= PENDING:
             raise Busy(f"{PENDING} requests of {client.account} for what takes long wait already; await a reply")
         self._waiting.add(client.turn, (work, then))
-        self._go_on()
+        self._run_next()
 
     def close(self) -> None:
         """Drop waiting jobs, and let the running one end."""
         self._waiting.clear()
         self.thread.shutdown()
 
-    def _go_on(self) -> None:
+    def _run_next(self) -> None:
         if self._runs or not self._waiting:
             return
         _, (work, then) = self._waiting.take()
@@ -121,7 +121,7 @@ class FileThread:
 
         def ended() -> None:
             self._runs = False
-            self._go_on()
+            self._run_next()
             then(result)
 
         self._loop.call_threadsafe(ended)

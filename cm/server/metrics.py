@@ -160,8 +160,8 @@ class Metrics:
         kinds = [({"scope": scope, "how": how}, float(count)) for (scope, how), count in sorted(held.items())]
         yield single("cm_leases", "gauge", "Leases that are held.", held.total())
         yield many("cm_leases_by_scope", "gauge", "The same, by what they cover.", kinds)
-        held_by = self._s.manager.leases.told(), self._s.streams.status(), self._s.streams.allocated()
-        told = self._s.clients.told(self._s.connections.counted())
+        held_by = self._s.manager.leases.statuses(), self._s.streams.status(), self._s.streams.allocated()
+        told = self._s.clients.statuses(self._s.connections.counted())
         clients = {client.name: client for client in with_holdings(told, *held_by)}
         for name, text in _CLIENT.items():
             values = {client: getattr(c, name) for client, c in clients.items()}

@@ -65,7 +65,7 @@ def mark(configs: Iterable[Config], limit: int) -> int:
     return max(_FEWEST, min(_MOST, limit // longest))
 
 
-class Kept:
+class UnreadFrames:
     """Frames that some subscriber has not received yet, with a bound on all together.
 
     Each subscriber may leave different ones unread. If all exceed one and a half times what one may leave unread
@@ -84,11 +84,11 @@ class Kept:
         self.bytes += size
         most = max(self._limit, self._mark * size)
         if self._frames[0][0].done or self.bytes > most:
-            self._look()
+            self._drop_read()
         if self.bytes > most:
             self._end_slowest()
 
-    def _look(self) -> None:
+    def _drop_read(self) -> None:
         self._frames = deque([(tracker, size) for tracker, size in self._frames if not tracker.done])
         self.bytes = sum([size for _, size in self._frames])
 
@@ -205,7 +205,7 @@ class Publisher:
         self._compressor = Compressor(loop, self._compressed)
         self._subscriptions = Subscriptions(end)
         self._overruns: Counter[str] = Counter()
-        self._kept = Kept(limit, socket.sndhwm, end_stuck)
+        self._unread = UnreadFrames(limit, socket.sndhwm, end_stuck)
         self._started_ns = time.time_ns()
         self._counting = threading.Lock()
         self._last_logged = ""
@@ -328,14 +328,14 @@ class Publisher:
         for topic in wanted:
             if not self._sender.send_frame([topic, message, body]):
                 self._overruns[stream] += 1
-        self._kept.add(body.tracker, len(data))
+        self._unread.add(body.tracker, len(data))
 
     def close(self) -> None:
         """End the thread that compresses."""
         self._compressor.close()
 
 
-class StatusTold:
+class StatusPublisher:
     """What clients are told of the manager: implements `cm.manager.interfaces.Observer`.
 
     `begin` comes before all else, as the manager is made with this. All but the observer's calls: the loop's thread.
@@ -359,7 +359,7 @@ class StatusTold:
     def status(self, moment: Moment | None = None) -> Status:
         """The status of a moment, or of now."""
         manager, streams = self._manager, self._streams.status()
-        beside = {"leases": manager.leases.told(), "windows": manager.mapped, **self._publisher.beside()}
+        beside = {"leases": manager.leases.statuses(), "windows": manager.mapped, **self._publisher.beside()}
         return manager.reporter.status(moment, streams=streams, **beside)
 
     def publish(self) -> None:

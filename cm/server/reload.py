@@ -65,7 +65,7 @@ class Reloader:
             self._s.service.reloading()
             self._s.thread.submit(self._read, self._s.read)
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Begin by itself once settings or keys have changed, and then not for the time between two looks."""
         if self._s.stamps is None:
             return

@@ -83,7 +83,7 @@ class Services:
 
     def fail(self, asked: Asked, error: Exception) -> None:
         """Answer with an error that work has ended in; that the board has gone is noticed."""
-        self.board.noticed(error)
+        self.board.notice_error(error)
         asked.answer(refusal(error))
 
     def read_files(self, asked: Asked, work: Callable[[], _T], then: Callable[[_T], Reply | None]) -> None:
@@ -104,7 +104,7 @@ class Services:
 def carry_out(s: Services, asked: Asked) -> None:
     """Do what a request asks for; whatever goes wrong becomes an error reply."""
     if s.audits.publisher.wants_audit and asked.row.right.least.role >= _OPERATE:
-        asked.told = s.audits.begin(asked)
+        asked.audit = s.audits.begin(asked)
     try:
         asked.request = s.sessions.gate.admit(asked.connection, asked.request, asked.row.right, s.sessions.scene)
         if asked.row.uploads:
@@ -118,8 +118,8 @@ def carry_out(s: Services, asked: Asked) -> None:
             asked.answer(made)
         elif made is not None:
             s.turns.start(asked.client, _answered(s, asked, made))
-        if asked.told is not None and not asked.answered:
-            asked.told(None)
+        if asked.audit is not None and not asked.answered:
+            asked.audit(None)
     except Exception as error:  # noqa: BLE001 (every request gets an answer)
         s.fail(asked, error)
 
@@ -182,7 +182,7 @@ def read_status(s: Services, _: Asked, request: rq.ReadStatus) -> Reply:
     status = s.status()
     if request.clients:
         held = status.leases, status.streams, s.streams.allocated()
-        status = replace(status, clients=with_holdings(s.clients.told(s.connections.counted()), *held))
+        status = replace(status, clients=with_holdings(s.clients.statuses(s.connections.counted()), *held))
     if request.history:
         history = s.manager.reporter.history
         status = replace(status, changes=history.changes(), writes=history.writes())

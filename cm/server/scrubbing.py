@@ -65,9 +65,9 @@ class Scrubber:
             what: Checked | CmError | OSError = self._manager.prepared_check(name)
         except (CmError, OSError) as error:
             what = error
-        self._loop.call_threadsafe(partial(self._look, name, what))
+        self._loop.call_threadsafe(partial(self._check, name, what))
 
-    def _look(self, name: str, what: Checked | CmError | OSError) -> None:
+    def _check(self, name: str, what: Checked | CmError | OSError) -> None:
         if isinstance(what, Exception):
             self._ended(name, what)
             return

@@ -72,8 +72,8 @@ class Row:
 class Asked:
     """A request on its way: who asks, and the one answer."""
 
-    __slots__ = ("_reply", "_size", "answered", "charged", "client", "connection", "held", "if_accepted", "order",
-                 "request", "row", "sender", "told")  # fmt: skip
+    __slots__ = ("_reply", "_size", "answered", "audit", "charged", "client", "connection", "held", "if_accepted",
+                 "order", "request", "row", "sender")  # fmt: skip
 
     def __init__(
         self, row: Row, request: Any, connection: str, sender: bytes, client: Client, charged: Client, order: Order,
@@ -87,7 +87,7 @@ class Asked:
         self._reply, self._size = reply, size
         self.held: Holds | None = None
         self.if_accepted: Callable[[], object] | None = None
-        self.told: Callable[[Reply | None], object] | None = None  # of its begin if it takes time, and its end
+        self.audit: Callable[[Reply | None], object] | None = None  # of its begin if it takes time, and its end
         self.answered = False
 
     def hold(self, what: Holds) -> None:
@@ -108,8 +108,8 @@ class Asked:
             self._reply(reply)
         except Exception as error:  # noqa: BLE001 (every request gets an answer: this one cannot be encoded)
             self._reply(refusal(error))
-        if self.told is not None:
-            self.told(reply)
+        if self.audit is not None:
+            self.audit(reply)
         if self.held is not None:
             self.order.release(self.sender, self.held)
 

@@ -29,7 +29,7 @@ from cm.server.long_work import FileThread, RoundRobin
 from cm.server.options import NO_METRICS, Options
 from cm.server.private_folders import Locks, private_folder
 from cm.server.provision import Provisioner
-from cm.server.publisher import Publisher, StatusTold, mark
+from cm.server.publisher import Publisher, StatusPublisher, mark
 from cm.server.reload import ReloadContext, Reloaded, Reloader
 from cm.server.request_handlers import Services
 from cm.server.rights.admission import Gate
@@ -99,7 +99,7 @@ class Server:
             turns=self._turns,
             limits=options.limits,
         )
-        self._status = StatusTold(self._loop, self._publisher, self._streams)
+        self._status = StatusPublisher(self._loop, self._publisher, self._streams)
         self._manager = Manager(configs, self._environment(), leases)
         self._sessions = Sessions(gate, options.runtime_dir, self._sockets.tcp, self._manager)
         self._windows: OpenWindows | None = None
@@ -296,8 +296,13 @@ class Server:
     def _tick(self) -> None:
         self._manager.flush()
         self._streams.refresh()
-        for look in (self._reloader.continue_waiting, self._reloader.look, self._sessions.look, self._board.look):
-            look()
+        for poll in (
+            self._reloader.continue_waiting,
+            self._reloader.poll,
+            self._sessions.end_expired,
+            self._board.poll,
+        ):
+            poll()
         self._uploads.forget_old()
         self._clients.settle()
         self._connections.settle()

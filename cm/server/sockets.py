@@ -236,7 +236,7 @@ class Loop(EventLoop):
         self._sockets: dict[zmq.Socket[bytes], _Watched] = {}
         self._waited: list[tuple[Any, int]] = [(self._epoll.fileno(), _POLLIN)]  # as `zmq_poll` takes it
         self._takes: dict[Any, Callback] = {self._epoll.fileno(): partial(self._serve, 0)}  # of what is waited for
-        self._unlooked: set[_Watched] = set()  # may have messages that their descriptors do not show
+        self._unread: set[_Watched] = set()  # may have messages that their descriptors do not show
 
     def add_socket(self, socket: zmq.Socket[bytes], take: Callback, foremost: bool = False) -> None:
         """Call `take` when there are messages; it reads one or more from the socket.
@@ -248,34 +248,34 @@ class Loop(EventLoop):
             self._takes[socket] = take
             return
         watched = self._sockets[socket] = _Watched([(socket, _POLLIN)], take)
-        self.add(socket.fileno(), partial(self._look, watched))
-        self._unlooked.add(watched)
+        self.add(socket.fileno(), partial(self._drain, watched))
+        self._unread.add(watched)
 
     def send(self, socket: zmq.Socket[bytes], frames: Sequence[bytes | memoryview], flags: int = 0) -> None:
         """Send on a socket that is watched; the loop looks at it again before it waits."""
         watched = self._sockets.get(socket)
         if watched is not None:
-            self._unlooked.add(watched)
+            self._unread.add(watched)
         multipart.send(socket, frames, flags)
 
     def _wait(self, milliseconds: int) -> None:
         taken = False
-        for watched in tuple(self._unlooked) if self._unlooked else ():  # this may set new timers
-            taken = self._look(watched) or taken
-        for source, _ in zmq_poll(self._waited, 0 if taken or self._unlooked else milliseconds):
+        for watched in tuple(self._unread) if self._unread else ():  # this may set new timers
+            taken = self._drain(watched) or taken
+        for source, _ in zmq_poll(self._waited, 0 if taken or self._unread else milliseconds):
             try:
                 self._takes[source]()
             except Exception as error:  # noqa: BLE001 (see _failed)
                 self._failed(error)
 
-    def _look(self, watched: _Watched) -> bool:
+    def _drain(self, watched: _Watched) -> bool:
         """Serve a socket until it has nothing more, or for its share; returns whether it had something."""
         for turn in range(_TURNS):
             if not zmq_poll(watched.sources, 0):  # half the time of asking for ZMQ_EVENTS
-                self._unlooked.discard(watched)
+                self._unread.discard(watched)
                 return turn > 0
             self._guarded(watched.take)
-        self._unlooked.add(watched)
+        self._unread.add(watched)
         return True
 
     def _failed(self, error: Exception) -> None:

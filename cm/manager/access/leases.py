@@ -166,7 +166,7 @@ class Leases:
             self._expire()
             return tuple(lease.info for lease in self._held.values())
 
-    def told(self) -> tuple[LeaseStatus, ...]:
+    def statuses(self) -> tuple[LeaseStatus, ...]:
         """The same, as all clients may see them."""
         if not self._held:
             return ()

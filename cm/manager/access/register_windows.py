@@ -106,7 +106,7 @@ class Windows:
         self.changed: Callable[[], None] = lambda: None  # one was lent, or has ended
         self.closing: Callable[[], None] = lambda: None  # `fileno` is about to be closed
 
-    def told(self) -> tuple[WindowStatus, ...]:
+    def statuses(self) -> tuple[WindowStatus, ...]:
         """Who has which, oldest first."""
         with self._lock:
             return tuple([loan.status for loan in self._loans.values()])

@@ -47,7 +47,7 @@ class Audit:
         _LOG.log(level, "%s", text)
         self._bursts[connection, kind] = _Burst(text, level, self._clock() + BURST)
 
-    def look(self) -> None:
+    def flush(self) -> None:
         """Log the bursts that are over; called now and then."""
         now = self._clock()
         over = [key for key, burst in self._bursts.items() if burst.until <= now]

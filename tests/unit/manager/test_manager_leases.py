@@ -103,7 +103,7 @@ def test_the_refusal_names_the_holder_how_long_and_the_ways_out(leases: Leases, 
         "registers:led is held by an?na (shared), for 10 s more unless renewed" + out(3)
     )
     assert refusal(lambda: take(leases, "region:prr0")) == texts["region:prr0"]
-    assert leases.told() == (
+    assert leases.statuses() == (
         LeaseStatus(1, "region:prr0", True, "anna", "", 0, 18.0),
         LeaseStatus(2, "region:prr1", True, "window 1", "peer", 7, 0.0),  # it has no end
         LeaseStatus(3, "registers:led", False, "an?na", "", 0, 10.0),
@@ -131,7 +131,7 @@ def test_a_lease_ends_after_its_time_unless_it_is_renewed(leases: Leases, clock:
     assert (leases.holds(mine.id), leases.expire(), leases.any_held) == (True, 0.5, True)
     clock.now += 0.5
     leases.check(("board",))
-    assert (leases.holds(mine.id), leases.expire(), leases.any_held, leases.told()) == (False, None, False, ())
+    assert (leases.holds(mine.id), leases.expire(), leases.any_held, leases.statuses()) == (False, None, False, ())
     unknown = f"no lease {mine.id!r} is held; it may have ended after its time"
     assert refusal(lambda: leases.request(RenewLease(mine.id, 10))) == unknown
     leases.hold("board", "window 1", "peer", 7)
@@ -183,7 +183,7 @@ def test_a_lease_ends_when_it_is_given_back_or_broken_or_its_holder_dies(leases:
     leases.request(ReleaseLease(mine.id))
     leases.check(("board",))
     take(leases, "board")
-    (told,) = leases.told()
+    (told,) = leases.statuses()
     assert leases.request(BreakLease(told.number)).scope == "board"
     assert refusal(lambda: leases.request(BreakLease(told.number))) == (
         f"no lease has the number {told.number}; cm lease list"

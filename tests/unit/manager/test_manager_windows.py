@@ -118,7 +118,7 @@ def test_what_the_kernel_refuses_is_a_sentence(made: Rig, number: int, kind: typ
     with pytest.raises(kind, match=f"^{says}"):
         lend(made, SimpleNamespace(windows=lambda: Lender(number)))
     assert made.manager.mapped == ()
-    assert made.manager.leases.told() == ()
+    assert made.manager.leases.statuses() == ()
 
 
 @pytest.mark.parametrize(
@@ -315,14 +315,14 @@ def test_a_window_tells_what_is_in_it_and_who_has_it(made: Rig) -> None:
     assert made.manager.mapped == (told,)
     assert (loan.info.name, loan.info.type, loan.info.mode) == ("camera", "partial", "edge_detection")
     assert {"focus", "threshold"} <= {register.name for register in loan.info.registers}
-    (lease,) = made.manager.leases.told()
+    (lease,) = made.manager.leases.statuses()
     assert (lease.scope, lease.holder, lease.client, lease.pid) == ("region:prr0", f"window {loan.number}", "me", 7)
     held = f"HeldBy: region:prr0 is held by window {loan.number} (alone), until that is given back"
     assert asked(made) == held + OUT
     reader = asked(made, write=False)
     made.manager.windows.give_back(loan.number)
     made.manager.windows.give_back(loan.number)  # nothing more
-    assert (made.manager.leases.told(), len(made.manager.mapped)) == ((), 1)
+    assert (made.manager.leases.statuses(), len(made.manager.mapped)) == ((), 1)
     writer = asked(made)
     assert asked(made, exclusive=True) == "HeldBy: region prr0 has a window for writing already, of me"
     assert [window.number for window in made.manager.mapped] == [reader.number, writer.number]
@@ -346,7 +346,7 @@ def test_a_window_ends_with_its_lease_and_its_board(made: Rig) -> None:
     told: list[tuple[int, str, str]] = []
     kernel: Any = SimpleNamespace(windows=Kernel)
     lend(made, kernel, told, exclusive=True)
-    (lease,) = made.manager.leases.told()
+    (lease,) = made.manager.leases.statuses()
     made.manager.leases.request(BreakLease(lease.number))
     assert told == [(int(WindowEnd.CALL), "camera", "edge_detection")]
     lend(made, kernel, told)

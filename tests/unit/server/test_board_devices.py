@@ -276,7 +276,7 @@ class Board:
 
     def look(self) -> list[str]:
         self.log.clear()
-        self.watch.look()
+        self.watch.poll()
         return self.log[:]
 
 
@@ -337,5 +337,5 @@ def test_what_others_load_is_seen_to_after_a_change_and_unless_the_board_is_anot
 def test_only_that_a_board_has_gone_is_passed_on(board: Board) -> None:
     for error in (DeviceNotFound(errno.ENOENT, "none"), UnknownConfig("x"), DeviceGone(errno.ENODEV, "gone")):
         board.log.clear()
-        board.watch.noticed(error)
+        board.watch.notice_error(error)
         assert board.log == (["lost gone"] if isinstance(error, DeviceGone) else [])

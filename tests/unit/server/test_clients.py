@@ -98,7 +98,7 @@ def test_a_client_that_does_not_read_gets_no_more_until_it_does(clients: Clients
         True, False, True, False,
     ]  # fmt: skip
     reply.done = True
-    client.look_at_replies()
+    client.count_unread()
     assert (client.unread_bytes, client.unread_of, client.reads_nothing) == (100_000, {b"a": 100_000}, False)
 
 
@@ -116,9 +116,9 @@ def test_clients_that_are_gone_and_have_nothing_are_forgotten(clients: Clients) 
     clients.of("ipc:0:0:9000001").upload_bytes = 1
     for pid in (9000002, 9000003):
         clients.of(f"ipc:0:0:{pid}")
-    assert [client.name for client in clients.told({"pid 9000002": 4})] == ["pid 9000001", "pid 9000002"]
-    assert [client.connections for client in clients.told({"pid 9000002": 4})] == [0, 4]
-    assert {client.account for client in clients.told({})} == {"uid:0"}
+    assert [client.name for client in clients.statuses({"pid 9000002": 4})] == ["pid 9000001", "pid 9000002"]
+    assert [client.connections for client in clients.statuses({"pid 9000002": 4})] == [0, 4]
+    assert {client.account for client in clients.statuses({})} == {"uid:0"}
 
 
 def test_all_bounds_are_of_what_there_may_be_at_most(clients: Clients) -> None:
@@ -166,7 +166,7 @@ def test_what_a_client_has_is_told(clients: Clients) -> None:
     client.make(10)
     client.sent(Sent(), 20, b"a")
     clients.of("ipc:0:0:9000001").upload_bytes = 1
-    (told, _) = clients.told({"10.0.0.1": 3})
+    (told, _) = clients.statuses({"10.0.0.1": 3})
     assert told == ClientStatus(
         "::ffff:10.0.0.1", connections=3, upload_bytes=7, waiting_bytes=130, unread_bytes=30, requests=5, refused=2,
         account="tcp:::ffff:10.0.0.1", waiting=1,

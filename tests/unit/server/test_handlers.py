@@ -100,7 +100,7 @@ class Bench:
             streams=(StreamStatus("camera", "dma0", "s2mm", clients=(StreamClient(9, "view", depth=3),)),),
         )
         self.services: Any = Services(
-            manager=manager, streams=streams, board=SimpleNamespace(noticed=self.noticed.append),
+            manager=manager, streams=streams, board=SimpleNamespace(notice_error=self.noticed.append),
             turns=SimpleNamespace(start=self._start), clients=self.clients,
             sessions=SimpleNamespace(gate=SimpleNamespace(admit=lambda _, request, *__: request), scene=None),
             uploads=SimpleNamespace(fill_in=lambda _: None), status=lambda: status, leases=None,

@@ -77,7 +77,7 @@ def metrics(loop: Any) -> Metrics:
         loop=loop,
         status=lambda: STATUS,
         manager=SimpleNamespace(
-            totals=totals(), leases=SimpleNamespace(held=lambda: STATUS.leases, told=lambda: STATUS.leases)
+            totals=totals(), leases=SimpleNamespace(held=lambda: STATUS.leases, statuses=lambda: STATUS.leases)
         ),
         streams=SimpleNamespace(
             moved=lambda: {"camera": Moved(50, 1, 2, 4000), "gone": Moved(frames=6)},
@@ -85,7 +85,7 @@ def metrics(loop: Any) -> Metrics:
             allocated=Counter,
         ),
         connections=SimpleNamespace(counted=Counter),
-        clients=SimpleNamespace(told=lambda _: clients),
+        clients=SimpleNamespace(statuses=lambda _: clients),
         interrupts=SimpleNamespace(counts={"done": 17}),
     )
     requests: Any = SimpleNamespace(taken=33, refused=Counter({"busy": 4}))

@@ -13,7 +13,7 @@ import zmq
 from manager_process import short_folder
 
 from cm._version import __version__
-from cm.server.publisher import AT_A_TIME, TOPICS_EACH, Kept, Publisher, StatusTold, Subscriptions
+from cm.server.publisher import AT_A_TIME, TOPICS_EACH, Publisher, StatusPublisher, Subscriptions, UnreadFrames
 from cm.server.sockets import Loop
 from cm.wire.encode import decode_event
 from cm.wire.messages.status import ErrorInfo, Irq, RegValue, RegValues, SensorStatus, Status, StreamStatus
@@ -125,7 +125,7 @@ def test_an_error_is_logged_once_until_another_or_none_follows(
 @pytest.mark.parametrize(("size", "fit"), [(100, 15), (300, 7)], ids=["so many bytes", "so many frames"])
 def test_all_subscribers_may_leave_half_as_much_more_than_one_unread(size: int, fit: int) -> None:
     ended: list[int] = []
-    kept = Kept(1000, 2, lambda: ended.append(kept.bytes))
+    kept = UnreadFrames(1000, 2, lambda: ended.append(kept.bytes))
     frames: list[Any] = [SimpleNamespace(done=False) for _ in range(fit + 1)]
     for frame in frames:
         kept.add(frame, size)
@@ -221,7 +221,7 @@ class Told:
         self.published: list[int] = []
         self.step, self.running = 0, True
         self.registers: Any = None
-        make: Any = StatusTold
+        make: Any = StatusPublisher
         self.told = make(self, self, None)
         self.told.status = lambda moment=None: moment.step if moment else 100
         self.watches: list[Any] = []

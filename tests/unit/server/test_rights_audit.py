@@ -40,11 +40,11 @@ def test_the_first_of_a_burst_is_reported_at_once_and_the_others_as_one(caplog: 
     for _ in range(1000):
         audit.note("a", "WriteReg", lambda: "anna: WriteReg focus")
     audit.note("b", "WriteReg", lambda: "ben: WriteReg focus")
-    audit.look()
+    audit.flush()
     assert messages(caplog) == ["anna: WriteReg focus", "ben: WriteReg focus"]
     clock.now += BURST
-    audit.look()
-    audit.look()
+    audit.flush()
+    audit.flush()
     assert messages(caplog)[2:] == ["anna: WriteReg focus: 999 more within 10 s"]
     audit.note("a", "WriteReg", lambda: "anna: WriteReg zoom")
     assert messages(caplog)[3:] == ["anna: WriteReg zoom"]
@@ -59,7 +59,7 @@ def test_however_many_there_are_the_log_has_few_lines(caplog: pytest.LogCaptureF
             audit.note(f"client {number}", "enter", lambda: "refused")
         assert (messages(caplog)[:512], messages(caplog)[512:]) == (["refused"] * 512, [more])
         clock.now += BURST
-        audit.look()
+        audit.flush()
         assert messages(caplog)[513:] == [f"{more}: 9487 more within 10 s"]
         caplog.clear()
 

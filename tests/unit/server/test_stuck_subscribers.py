@@ -211,7 +211,7 @@ def test_the_holder_of_a_key_that_has_expired_is_disconnected(tmp_path: Path, po
         theirs.setblocking(False)
         with ours:
             for clock[0] in (9.0, 11.0):
-                known.look()
+                known.end_expired()
                 try:
                     assert theirs.recv(1) == b""
                     assert (clock[0], port, address) == (11.0, 0, "127.0.0.1")
