@@ -51,7 +51,7 @@ def drawn(mermaid: str) -> str:
     """The boxes and arrows of a Mermaid diagram, which GitHub draws, as a graph for dot."""
     style = 'node [shape=box, style="rounded", fontname="sans-serif"]; edge [fontname="sans-serif", fontsize=10];'
     kind, *lines = mermaid.splitlines()
-    said = ['rankdir=LR; fontname="sans-serif";' if kind == "flowchart LR" else "", style]
+    said = ["rankdir=LR;" if kind == "flowchart LR" else "", 'fontname="sans-serif";', style]
     for line in lines:
         if arrow := _ARROW.match(line):
             start, inside, end, after = arrow.groups()

@@ -98,9 +98,10 @@ def _section(title: str, shape: dict[str, Any], definitions: dict[str, Any], abo
 
 def _row(key: str, value: dict[str, Any], required: bool, definitions: dict[str, Any]) -> str:
     value = _follow(value, definitions)
-    default = ", **required**" if required else f" = `{json.dumps(value['default'])}`" if "default" in value else ""
-    default = default.replace('"', "")
-    return f"- `{key}`: {_kind(value, definitions)}{default}. {value.get('description', '')}".rstrip()
+    beside = ", **required**" if required else ""
+    if "default" in value and not required:
+        beside = f", default `{json.dumps(value['default'])}`".replace('"', "")
+    return f"- `{key}`: {_kind(value, definitions)}{beside}. {value.get('description', '')}".rstrip()
 
 
 def _follow(value: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
@@ -116,6 +117,8 @@ def _kind(value: dict[str, Any], definitions: dict[str, Any]) -> str:
     value = _follow(value, definitions)
     if "anyOf" in value:
         return " or ".join(dict.fromkeys(_kind(choice, definitions) for choice in value["anyOf"]))
+    if "complex128" in value.get("enum", ()):
+        return "dtype"  # the head of each page lists them
     if "enum" in value:
         return ", ".join(f"`{choice}`" for choice in value["enum"])
     if value["type"] == "array":
