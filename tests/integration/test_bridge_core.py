@@ -164,7 +164,7 @@ def test_requests_are_carried_out_and_refusals_are_errors(board: cm.Board, comma
     assert commands.plan(US, mode="edge_detection").bytes > 0
     assert commands.change(US, mode="edge_detection", progress=lambda at: steps.append(at.step)) > 0
     assert "load" in steps
-    assert commands.status(US).mode == "edge_detection"
+    assert commands.board(US).status.mode == "edge_detection"
     values = commands.write_registers(US, {"focus": 5, "led": 0xFF, "led.blink": "fast"}, {"led": 0x0F}).values
     assert board.registers["focus"] == 5
     assert board.registers["led.blink"] == 2

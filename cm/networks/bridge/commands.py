@@ -22,7 +22,7 @@ from cm.errors import CmError, Forbidden, InvalidRequest
 from cm.networks.bridge.records import Caller
 from cm.networks.bridge.streams import FrameWriter
 from cm.wire.messages.requests import WriteReg
-from cm.wire.messages.status import ConfigEntry, ConfigInfo, PlanInfo, Progress, RegValues, Status
+from cm.wire.messages.status import PlanInfo, Progress, RegValues
 
 _KEPT = 16  # connections of guests that are kept open
 
@@ -154,18 +154,6 @@ class Commands:
         with self._connections.ending():
             return self.board(caller).ask(call)
 
-    def status(self, caller: Caller) -> Status:
-        """The status now."""
-        return self._ask(caller, calls.status())
-
-    def configs(self, caller: Caller) -> tuple[ConfigEntry, ...]:
-        """All configurations that can be loaded, with their modes."""
-        return self._ask(caller, calls.config_entries())
-
-    def config(self, caller: Caller, name: str = "") -> ConfigInfo:
-        """A configuration; the loaded one's if no name is given."""
-        return self._ask(caller, calls.describe(name))
-
     def plan(self, caller: Caller, config: str = "", mode: str = "") -> PlanInfo:
         """What going to a mode would do; touches nothing."""
         with self._connections.ending():
@@ -177,10 +165,8 @@ class Commands:
         config: str = "",
         mode: str = "",
         *,
-        queue: bool = True,
         force: bool = False,
         progress: Callable[[Progress], None] | None = None,
-        timeout: float | None = None,
     ) -> float:
         """Go to a mode and wait; returns the seconds it took.
 
@@ -189,7 +175,7 @@ class Commands:
         self._must("modes")
         with self._connections.ending(), self._connections.own(caller.guest) as board:
             return board.load(
-                config, mode, progress=progress or False, timeout=timeout, queue=queue, force=force, lease=caller.lease
+                config, mode, progress=progress or False, timeout=None, queue=True, force=force, lease=caller.lease
             )
 
     def cancel(self, caller: Caller) -> None:

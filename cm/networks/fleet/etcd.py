@@ -192,7 +192,7 @@ class Etcd:
         revision, number, pause, said = 0, self._first, _PAUSE, ""
         while not self._closed:
             asked = {**_range(prefix), **({"start_revision": str(revision + 1)} if revision else {})}
-            connection = self._connected(self._cluster.members[number % len(self._cluster.members)])
+            connection = _Connection(self._cluster.members[number % len(self._cluster.members)], self._tls)
             number += 1
             try:
                 async for found in self._told(connection, {"create_request": asked}):
@@ -259,7 +259,7 @@ class Etcd:
         """On a connection that is idle, or a new one: one that was closed meanwhile is as a member that is away."""
         connection = next((each for each in self._idle if each.member == member), None)
         if connection is None:
-            connection = self._connected(member)
+            connection = _Connection(member, self._tls)
         else:
             self._idle.remove(connection)
         try:
@@ -271,9 +271,6 @@ class Etcd:
         self._idle.append(connection)
         self._ahead = connection.ahead
         return _parsed(answer)
-
-    def _connected(self, member: str) -> _Connection:
-        return _Connection(member, self._tls)
 
     async def _logged_in(self, connection: _Connection) -> str:
         """The user's token, which is fetched where there is none."""

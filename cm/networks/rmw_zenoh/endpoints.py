@@ -66,10 +66,9 @@ _HEARTBEAT = 0.5  # seconds, rmw_zenoh's
 class ZenohPublisher:
     """A publisher; threads take turns. A frame is copied twice: into the message, and by zenoh's Python API."""
 
-    def __init__(self, session: Any, end: EndKey, closed: Callable[[ZenohPublisher], None]) -> None:
+    def __init__(self, session: Any, end: EndKey) -> None:
         self._end = end
         self._gid = end.gid
-        self._closed = closed
         self._lock = threading.Lock()
         self._number = 0
         self._gathering = Gathering()
@@ -109,7 +108,6 @@ class ZenohPublisher:
             self._put.__self__.undeclare()
             if self._end.quality.latched:
                 self._plain.undeclare()
-        self._closed(self)
 
 
 def quality(end: EndKey) -> dict[str, Any]:
@@ -139,10 +137,7 @@ def _latched(session: Any, end: EndKey) -> Any:
 class ZenohSubscription:
     """`take` gets each message as it lies on the wire, in a thread of this subscription's own."""
 
-    def __init__(
-        self, session: Any, end: EndKey, take: Callable[[bytes], None], closed: Callable[[ZenohSubscription], None]
-    ) -> None:
-        self._closed = closed
+    def __init__(self, session: Any, end: EndKey, take: Callable[[bytes], None]) -> None:
         self._inbox = Inbox(end.topic, end.quality.depth, lambda sample: take(sample.payload.to_bytes()))
         handler = zenoh.handlers.Callback(self._inbox.put, indirect=False)
         declare = _late if end.quality.latched else _plain
@@ -156,7 +151,6 @@ class ZenohSubscription:
             token.undeclare()
             self._subscriber.undeclare()
             self._inbox.close()
-            self._closed(self)
 
 
 def _plain(session: Any, end: EndKey, handler: Any) -> Any:

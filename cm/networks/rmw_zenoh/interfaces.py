@@ -76,9 +76,10 @@ STANDARD = MappingProxyType(
 )
 
 
-PRIMITIVES = frozenset(
-    ("bool", "byte", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64")
-)
+_IDS = {
+    "int8": 2, "uint8": 3, "int16": 4, "uint16": 5, "int32": 6, "uint32": 7, "int64": 8, "uint64": 9,
+    "float32": 10, "float64": 11, "bool": 15, "byte": 16, "string": 17,
+}  # fmt: skip
 _ALIASES = {"char": "uint8", "builtin_interfaces/Time": "builtin_interfaces/msg/Time"}
 _TYPE = re.compile(r"([\w/]+)(?:\[(<=)?(\d+)?(\])?)?")
 _NEEDS_ONE = "uint8 structure_needs_at_least_one_member"  # what rosidl puts where a message has no field
@@ -182,7 +183,7 @@ def _field(line: str, package: str) -> Field:
     assert found is not None, line
     base, bounded, length, many = found.groups()
     base = _ALIASES.get(base, base)
-    if base not in PRIMITIVES and base != "string" and base.count("/") < 2:
+    if base not in _IDS and base.count("/") < 2:
         owner, _, own = base.rpartition("/")
         base = f"{owner or package}/msg/{own}"
     how = ""
@@ -202,10 +203,6 @@ def definition(name: str) -> str:
     return "\n".join([own[1], *(f"{'=' * 80}\nMSG: {one.replace('/msg/', '/')}\n{text}" for one, text in others)])
 
 
-_IDS = {
-    "int8": 2, "uint8": 3, "int16": 4, "uint16": 5, "int32": 6, "uint32": 7, "int64": 8, "uint64": 9,
-    "float32": 10, "float64": 11, "bool": 15, "byte": 16, "string": 17,
-}  # fmt: skip
 _NESTED = 1
 _MANY = {"": 0, "array": 48, "bounded": 96, "sequence": 144}  # type_description_interfaces/msg/FieldType
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from typing import Any
+from weakref import WeakSet
 
 import zenoh
 
@@ -31,7 +32,7 @@ class ZenohTransport:
         self._numbers = itertools.count(self._node.number + 1)
         self._workers = Workers(_REQUESTS)
         self._requests = Inbox("services", _WAITING, lambda asked: asked[0].take(asked[1]))
-        self._open: set[ZenohPublisher | ZenohSubscription] = set()
+        self._open = WeakSet[ZenohPublisher | ZenohSubscription]()
         self._tokens = [self._session.liveliness().declare_token(self._node.token)]
         self._queryables: list[Any] = []
 
@@ -39,7 +40,7 @@ class ZenohTransport:
 
     def publisher(self, topic: str, kind: str, quality: Qos) -> ZenohPublisher:
         """Publish a topic."""
-        made = ZenohPublisher(self._session, self._end(End.PUBLISHER, topic, kind, quality), self._open.discard)
+        made = ZenohPublisher(self._session, self._end(End.PUBLISHER, topic, kind, quality))
         self._open.add(made)
         return made
 
@@ -56,8 +57,7 @@ class ZenohTransport:
         return self._listening(topic, kind, quality, lambda message: hand_on(kind, message, take))
 
     def _listening(self, topic: str, kind: str, quality: Qos, take: Callable[[bytes], None]) -> ZenohSubscription:
-        end = self._end(End.SUBSCRIPTION, topic, kind, quality)
-        made = ZenohSubscription(self._session, end, take, self._open.discard)
+        made = ZenohSubscription(self._session, self._end(End.SUBSCRIPTION, topic, kind, quality), take)
         self._open.add(made)
         return made
 

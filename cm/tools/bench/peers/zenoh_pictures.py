@@ -107,7 +107,7 @@ class PicturesNear:
         (folder / "router.new").write_text(self.router)
         (folder / "router.new").rename(folder / "router")
         self._plain = Plain(self.session, ONE_WAY)
-        self._ours = ZenohPublisher(self.session, end(self.session, ONE_WAY), lambda _: None)
+        self._ours = ZenohPublisher(self.session, end(self.session, ONE_WAY))
         self._format = StreamFormat("from_pl", False, (1, size), "uint8", "mono8", "from_pl")
         self._pipe = os.open(folder / "arrived", os.O_RDONLY)  # waits for the far end
         until = time.monotonic() + _PATIENCE
