@@ -5,15 +5,13 @@ from __future__ import annotations
 
 import argparse
 import logging
-import shlex
-import subprocess
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cm.cli.common import add_connection_options, parsed, run_until_told
 from cm.cli.fleet_options import add_network_options, network_of
-from cm.errors import CmError, InvalidRequest
+from cm.errors import InvalidRequest
 
 if TYPE_CHECKING:
     from cm.networks.fleet.bridge.bridge_process import Options
@@ -61,12 +59,6 @@ def add_fleet_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser
         "--import-to", type=Path, metavar="DIR", help="accept bundles from the fleet, and unpack them below this folder"
     )
     parser.add_argument(
-        "--after-import",
-        default="",
-        metavar="COMMAND",
-        help="command to run after an import, such as 'systemctl reload cm'",
-    )
-    parser.add_argument(
         "--settings", type=Path, metavar="FILE", help="settings whose policy of signatures applies to bundles"
     )
     parser.add_argument(
@@ -108,7 +100,7 @@ def _options(args: argparse.Namespace) -> Options:
         args.keys,
         _name(args.name, network.config),
         tuple(args.label),
-        _importer(args.import_to, args.settings, args.after_import) if args.import_to else None,
+        _importer(args.import_to, args.settings) if args.import_to else None,
         args.follow,
         args.join or bool(member_of(network.config)),
         args.keeper,
@@ -129,7 +121,7 @@ def _name(asked: str, config: Path | None) -> str:
     return keys.check(asked, "board") if asked else certified
 
 
-def _importer(out: Path, settings: Path | None, after: str) -> Import:
+def _importer(out: Path, settings: Path | None) -> Import:
     """What ``cm import archive`` does, under the same policy."""
     from cm.cli.import_ import read_settings, unpack_signed
 
@@ -138,16 +130,6 @@ def _importer(out: Path, settings: Path | None, after: str) -> Import:
     def take(archive: Path) -> tuple[str, str]:
         out.mkdir(parents=True, exist_ok=True)
         done, found = unpack_signed(archive, out, settings)
-        if after:
-            _run(after)
         return done.config.name, found.signer or ""
 
     return take
-
-
-def _run(command: str) -> None:
-    """What the administrator wants done after an import. Raises CmError: the configuration is there all the same."""
-    done = subprocess.run(shlex.split(command), capture_output=True, text=True, check=False, timeout=60)
-    if done.returncode:
-        said = (done.stderr or done.stdout).strip()[:200]
-        raise CmError(f"it is unpacked, but {command!r} ended with status {done.returncode}: {said}")

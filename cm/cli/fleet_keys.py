@@ -62,9 +62,6 @@ def _add_router(actions: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         metavar="HOST:PORT",
         help=f"address to listen on (127.0.0.1:{PORT}: without certificates, whoever reaches it is anybody)",
     )
-    parser.add_argument(
-        "--connect", action="append", default=[], metavar="HOST:PORT", help="another router to connect to"
-    )
     parser.add_argument("--zenoh-config", type=Path, metavar="FILE", help="router.json5 of `cm fleet keys`")
     parser.set_defaults(run=run_router)
 
@@ -78,8 +75,7 @@ def run_router(args: argparse.Namespace) -> int:
         listen = (endpoint("127.0.0.1"),)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: sys.exit(0))
-    connect = tuple(map(endpoint, args.connect))
-    with session(Network("router", connect, listen, args.zenoh_config)):
+    with session(Network("router", (), listen, args.zenoh_config)):
         print("cm fleet router: ready", file=sys.stderr, flush=True)
         while True:
             signal.pause()

@@ -24,10 +24,6 @@ def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     ):
         parser = actions.add_parser(name, help=text)
         add_fleet_options(parser, run)
-        if name == "status":
-            parser.add_argument(
-                "--prometheus", action="store_true", help="as metrics, for node_exporter's textfile collector"
-            )
     _add_plan(actions)
     _add_reg(actions)
 
@@ -50,7 +46,7 @@ def _add_reg(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
 
 def run_status(args: argparse.Namespace) -> int:
     """Print a line for each board; 1 where one of them did not answer, or is not where it is wanted."""
-    from cm.networks.fleet.status_text import prometheus, stands_apart
+    from cm.networks.fleet.status_text import stands_apart
     from cm.wire.messages.status import ErrorInfo
 
     with connected_fleet(args) as fleet:
@@ -58,8 +54,6 @@ def run_status(args: argparse.Namespace) -> int:
     failed = any(isinstance(status, ErrorInfo) or stands_apart(status) for status in found.values())
     if args.json:
         print_json({name: _plain(status) for name, status in found.items()})
-    elif args.prometheus:
-        print("\n".join(prometheus(found)))
     elif not found:
         print(NOBODY)
     else:

@@ -35,7 +35,7 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True, parser_class=_Parser)
     taking = actions.add_parser(
         "take",
-        usage="%(prog)s SCOPE [--seconds N | -- COMMAND ...] [--shared]",
+        usage="%(prog)s SCOPE [--seconds N | -- COMMAND ...]",
         help="hold part of the board",
         description="Hold part of the board, so that others cannot change it: while COMMAND runs (behind --, with "
         "the lease's id in $CM_LEASE, which `cm` passes on), or until Ctrl-C. With --seconds, print the id and end: "
@@ -47,7 +47,6 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
     )
     completes(scope, "board", "config", "region:", "registers:", "memories:")
     taking.add_argument("--seconds", type=seconds, metavar="N", help="take it for so long, at most 3600, and end")
-    taking.add_argument("--shared", action="store_true", help="others may hold it too, as shared")
     add_board_options(taking, run_take)
     taking.set_defaults(refuse=taking.error, command=[])
     giving = actions.add_parser("give", help="give a lease back")
@@ -84,7 +83,7 @@ def run_take(args: argparse.Namespace) -> int:
     with connected(args) as board:
         if args.seconds is not None:
             return _leave(board, args, holder)
-        lease = board.lease(args.scope, exclusive=not args.shared, seconds=_HELD, holder=holder)
+        lease = board.lease(args.scope, seconds=_HELD, holder=holder)
         lease.take()
         try:
             if args.command:
@@ -101,7 +100,7 @@ def run_take(args: argparse.Namespace) -> int:
 
 def _leave(board: Board, args: argparse.Namespace, holder: str) -> int:
     """Take it for some time; it does not end with this process."""
-    taken = board.ask(calls.lease(TakeLease(args.scope, not args.shared, seconds=args.seconds, holder=holder)))
+    taken = board.ask(calls.lease(TakeLease(args.scope, True, seconds=args.seconds, holder=holder)))
     return answer(args, {"id": taken.id, "scope": args.scope, "seconds": taken.seconds}, taken.id, lines=True)
 
 

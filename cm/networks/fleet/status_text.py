@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 from cm.wire.messages.fleet import BoardStatus, ClockSync, FleetState
-from cm.wire.messages.status import ErrorInfo
 
 FINE = ("free", "there")
 _OPEN = ("prepared", "changing", "changed", "failing")
@@ -45,22 +44,6 @@ def note(board: str, status: BoardStatus) -> str:
 def wanted(state: FleetState | None) -> str:
     """Where a board is wanted; empty if nobody ever wanted anything."""
     return f"{state.wanted_config}/{state.wanted_mode}" if state is not None and state.wanted_generation else ""
-
-
-def prometheus(found: Mapping[str, BoardStatus | ErrorInfo]) -> Iterator[str]:
-    """Lines for node_exporter's textfile collector."""
-    yield "# HELP cm_fleet_board_state 1 for the state of each board to what its fleet wants (away: no answer)."
-    yield "# TYPE cm_fleet_board_state gauge"
-    states = {n: s.fleet for n, s in found.items() if isinstance(s, BoardStatus) and s.fleet is not None}
-    for name in found:
-        yield f'cm_fleet_board_state{{board="{name}",state="{states[name].state if name in states else "away"}"}} 1'
-    for metric, which, text in (
-        ("generation", "generation", "The newest generation that a board has reached or set aside."),
-        ("wanted_generation", "wanted_generation", "The newest that is wanted of it."),
-    ):
-        yield f"# HELP cm_fleet_board_{metric} {text}"
-        yield f"# TYPE cm_fleet_board_{metric} gauge"
-        yield from (f'cm_fleet_board_{metric}{{board="{n}"}} {getattr(s, which)}' for n, s in states.items())
 
 
 def said_apart(clocks: Mapping[str, ClockSync]) -> int | None:
