@@ -179,7 +179,7 @@ def test_the_command_writes_a_configuration_that_loads(
 
 
 def test_a_signed_configuration_is_taken_where_its_key_is_trusted(theirs: Path, tmp_path: Path) -> None:
-    pytest.importorskip("cryptography", reason="the extra sign is not installed")
+    pytest.importorskip("cryptography", reason="cryptography is not installed")
     from import_support import key_pair
 
     from cm.formats.signing import Policy, judge

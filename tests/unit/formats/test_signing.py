@@ -18,7 +18,7 @@ from cm.cli.serve_settings import configs_of
 from cm.formats.signing import Policy, SignatureRefused, SigningUnavailable, add_manifest, judge, sign
 from cm.server.settings import parse_settings
 
-pytest.importorskip("cryptography", reason="the extra sign is not installed")
+pytest.importorskip("cryptography", reason="cryptography is not installed")
 
 SCHEMA = b"config: {name: vision, modules: {a: {}}, modes: {default: {modules: [a]}}}\n"
 FILES = {"vision.yaml": SCHEMA, "a.bit": b"some bytes"}
