@@ -17,8 +17,9 @@ from cm.schema import Problem, SchemaError, json_schema, load, loads, schema_fil
 from cm.schema.model import Config, Module
 from cm.schema.named_files import FileMissing, bitstream_path
 from cm.schema.problems import did_you_mean
-from cm.server.settings import Settings, SettingsError, SettingsMissing, load_settings, parse_settings, settings_schema
+from cm.server.settings.loader import SettingsError, SettingsMissing, load_settings, parse_settings, settings_schema
 from cm.server.settings.model import FILE as SETTINGS_FILE
+from cm.server.settings.model import Settings
 
 _STDIN = Path("-")
 

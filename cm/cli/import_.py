@@ -129,7 +129,7 @@ def read_settings(path: Path | None) -> Settings:
 
     if path is None and not FILE.exists():
         return Settings()
-    from cm.server.settings import load_settings
+    from cm.server.settings.loader import load_settings
 
     return load_settings(path or FILE)
 

@@ -127,7 +127,7 @@ def _take_settings(args: argparse.Namespace) -> bool:
     """Put what the settings say in the place of options; False if they want no record."""
     if args.file is not None or args.split or args.ring:
         raise InvalidRequest("--settings says where to and how much: name no file, --split or --ring beside it")
-    from cm.server.settings import load_settings
+    from cm.server.settings.loader import load_settings
 
     settings = load_settings(Path(args.settings))
     said = settings.record

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from cm.device import Root
     from cm.server.options import Options
     from cm.server.server import Server
-    from cm.server.settings import Settings
+    from cm.server.settings.model import Settings
 
 
 def fill_parser(parser: argparse.ArgumentParser) -> None:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from cm.schema.model import Config
     from cm.server.reload import Reloaded
     from cm.server.rights.model import Access, AuthorizedKey, Security
-    from cm.server.settings import Settings
+    from cm.server.settings.model import Settings
 
 Stamps = dict[str, tuple[int, int, int]]
 _LOCAL = ("127.0.0.1", "localhost", "[::1]")
@@ -43,7 +43,7 @@ def settings_of(args: argparse.Namespace) -> Settings | None:
     path: Path | None = args.settings
     if path is None and (args.sim or not SETTINGS_FILE.exists()):
         return None
-    from cm.server.settings import load_settings
+    from cm.server.settings.loader import load_settings
 
     settings = load_settings(path or SETTINGS_FILE)
     given = {name: value for name, value in _flags(args).items() if value not in (None, (), "", False)}
@@ -68,7 +68,7 @@ def configs_of(paths: Sequence[Path], settings: Settings | None) -> tuple[dict[s
     """
     left_out: tuple[str, ...] = ()
     if not paths and settings is not None:
-        from cm.server.settings import find_configs
+        from cm.server.settings.config_search import find_configs
 
         along = find_configs(settings.configs)
         configs, left_out = along.configs, along.left_out
@@ -115,16 +115,14 @@ def security_of(listen: Sequence[str], keys: Path | None, insecure: bool) -> Sec
 
 def access_of(settings: Settings | None, keys: Path | None) -> tuple[Access, tuple[str, ...]]:
     """Who may do what, and a sentence for each key that was left out."""
-    from cm.server.rights.model import Access
-
     said = (settings or Defaults()).access
     known: tuple[AuthorizedKey, ...] = ()
     left_out: tuple[str, ...] = ()
     if keys:
         from cm.server.rights.keys import authorized_keys
 
-        known, left_out = authorized_keys(keys, said.keys)
-    policy = Access(said.group, said.local, said.insecure, said.users, said.groups, said.guests, said.roles, known)
+        known, left_out = authorized_keys(keys, said.keys_folder)
+    policy = replace(said, keys=known, keys_folder=None)
     roles = {role for key in known for role in key.roles} - policy.names
     notes = tuple(f"no role {role!r}, which a key names: it gives no right" for role in sorted(roles))
     return policy, (*left_out, *notes)
@@ -189,7 +187,7 @@ def stamps(args: argparse.Namespace, began: Settings | None) -> Stamps:
     keys = began.keys if began else args.keys
     folders = []
     if keys:
-        folders = [keys, (began and began.access.keys) or keys.parent / FOLDER]
+        folders = [keys, (began and began.access.keys_folder) or keys.parent / FOLDER]
     settings = args.settings or (SETTINGS_FILE if began else None)
     found = {}
     for path in [*([settings] if settings else []), *folders, *(f for x in folders[1:] for f in x.glob("*.pub"))]:

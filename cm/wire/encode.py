@@ -181,7 +181,10 @@ def decode_reply(frames: Sequence[Frame]) -> st.Reply:
     """``[topic][Reply][payload…]`` → the reply. Raises InvalidRequest for anything else."""
     if len(frames) < 2:
         raise InvalidRequest(f"a reply of {len(frames)} frames; [topic][Reply][payload…] is expected")
-    message = parsed(pb.Reply, bytes(frames[1]))
+    try:
+        message = pb.Reply.FromString(bytes(frames[1]))  # not `parsed`: each reply comes here
+    except DecodeError as problem:
+        raise InvalidRequest(f"a reply that is not a Reply message: {problem}") from problem
     field = message.WhichOneof("body")
     return st.Reply(
         body=_FROM_FIELD[field](getattr(message, field)) if field else None,

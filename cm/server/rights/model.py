@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from enum import IntEnum
 from fnmatch import fnmatchcase
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -138,7 +139,7 @@ class Access:
     `roles` are limited ones, with names of their own; lists of roles add up. `group` owns the sockets of the runtime
     folder; `local` is for all users that can connect to them and are not named; the manager's own user and root are
     always admin. `insecure`: for clients over TCP without keys. `guests`: for those that a bridge speaks for, by name
-    or pattern; ``*`` for all others.
+    or pattern; ``*`` for all others. `keys` are those in `keys_folder`, or else beside the server's.
     """
 
     group: str = ""
@@ -149,6 +150,7 @@ class Access:
     guests: Mapping[str, tuple[str, ...]] = field(default_factory=empty)
     roles: Mapping[str, Grant] = field(default_factory=empty)
     keys: tuple[AuthorizedKey, ...] = ()
+    keys_folder: Path | None = None
 
     @property
     def names(self) -> frozenset[str]:

@@ -17,10 +17,9 @@ from cm.schema.problems import KeyPath, Problem, SchemaError, did_you_mean, key_
 from cm.schema.reader import Refused, read
 from cm.schema.structure import Structure
 from cm.schema.tree import Mark, Node, Table, locate, plain
-from cm.server.rights.model import Grant, Role, role_named
+from cm.server.rights.model import Access, Grant, Role, role_named
 from cm.server.settings.model import (
     FILE,
-    AccessSettings,
     DmaSettings,
     ImportSettings,
     LimitSettings,
@@ -37,17 +36,17 @@ _LISTS = ("local", "insecure")
 _LAST_PORT = 65535
 
 
-def access(values: Mapping[str, Any]) -> AccessSettings:
+def access(values: Mapping[str, Any]) -> Access:
     """The data for values that have been checked against the schema."""
     known = dict(values)
     if "keys" in known:
-        known["keys"] = Path(known["keys"])
+        known["keys_folder"] = Path(known.pop("keys"))
     known |= {name: tuple(known[name]) for name in _LISTS if name in known}
     for name in (name for name in _PEOPLE if name in known):
         known[name] = MappingProxyType({who: tuple(roles) for who, roles in known[name].items()})
     if "roles" in known:
         known["roles"] = MappingProxyType({name: _grant(said) for name, said in known["roles"].items()})
-    return AccessSettings(**known)
+    return Access(**known)
 
 
 def _grant(said: Mapping[str, Any]) -> Grant:

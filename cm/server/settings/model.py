@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from cm.frozen import dataclass, field
-from cm.server.rights.model import Grant, empty
+from cm.server.rights.model import Access, empty
 
 FILE = Path("/etc/cm/cm.yaml")
 SEARCH_PATH = ("/etc/cm/configs", "/lib/firmware/cm/*")
@@ -69,20 +69,6 @@ class PolicySettings:
 
 
 @dataclass(frozen=True, slots=True)
-class AccessSettings:
-    """Who may do what (`cm.server.rights.model.Access`); `keys` is the folder of authorized keys."""
-
-    group: str = ""
-    local: tuple[str, ...] = ("provision",)
-    insecure: tuple[str, ...] = ("provision",)
-    users: Mapping[str, tuple[str, ...]] = field(default_factory=empty)
-    groups: Mapping[str, tuple[str, ...]] = field(default_factory=empty)
-    guests: Mapping[str, tuple[str, ...]] = field(default_factory=empty)
-    roles: Mapping[str, Grant] = field(default_factory=empty)
-    keys: Path | None = None
-
-
-@dataclass(frozen=True, slots=True)
 class LimitSettings:
     """What clients may take of the manager; see docs/limits.md. `slots_each`: one user's."""
 
@@ -119,7 +105,7 @@ class Settings:
     imports: ImportSettings = ImportSettings()
     policy: PolicySettings = PolicySettings()
     limits: LimitSettings = LimitSettings()
-    access: AccessSettings = AccessSettings()
+    access: Access = Access()
 
 
 _MIB = 1 << 20

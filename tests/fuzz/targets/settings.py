@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from cm.server.settings import SettingsError, parse_settings
+from cm.server.settings.loader import SettingsError, parse_settings
 
 PACKAGES = ("cm.server.settings", "cm.schema")
 MAX_LENGTH = 4096

@@ -30,7 +30,7 @@ from cm.design.collect.collected import archive
 from cm.errors import CmError
 from cm.formats.importers import back, unpack, versions
 from cm.schema import load_folder
-from cm.server.settings import find_configs
+from cm.server.settings.config_search import find_configs
 
 VERSIONS = import_module("cm.formats.importers.config_versions")
 EDGE, GREY = b"the edge circuit" * 100, b"the grey one" * 70

@@ -16,7 +16,7 @@ from import_support import key_pair
 from cm.cli.main import main
 from cm.cli.serve_settings import configs_of
 from cm.formats.signing import Policy, SignatureRefused, SigningUnavailable, add_manifest, judge, sign
-from cm.server.settings import parse_settings
+from cm.server.settings.loader import parse_settings
 
 pytest.importorskip("cryptography", reason="cryptography is not installed")
 
