@@ -60,7 +60,7 @@ def light_route(runtime: Path) -> Iterator[list[str]]:
 
     router, where = routing()
     words = child.command("cm.cli.main", "bridge", "ros", "--runtime-dir", str(runtime), "--write", "frames")
-    with running([*words, "--router", where], {}, stderr=subprocess.PIPE) as bridge:
+    with running([*words, "--router", where], {"ROS_DOMAIN_ID": "0"}, stderr=subprocess.PIPE) as bridge:
         assert bridge.stderr is not None
         while b"cm bridge: /" not in (line := bridge.stderr.readline()):
             if not line:

@@ -118,7 +118,8 @@ def _trips(bench: Run, size: int) -> dict[str, Samples]:
 def _bridging(runtime: Any, router: str) -> Iterator[None]:
     """`cm bridge ros`, ready."""
     words = child.command("cm.cli.main", "bridge", "ros", "--runtime-dir", str(runtime), "--write", "frames")
-    process = subprocess.Popen([*words, "--router", router], stderr=subprocess.PIPE, env=child.environment())
+    env = child.environment() | {"ROS_DOMAIN_ID": "0"}
+    process = subprocess.Popen([*words, "--router", router], stderr=subprocess.PIPE, env=env)
     assert process.stderr is not None
     try:
         while b"cm bridge: /" not in (line := process.stderr.readline()):
