@@ -122,14 +122,20 @@ def _kind(value: dict[str, Any], definitions: dict[str, Any]) -> str:
     if "enum" in value:
         return ", ".join(f"`{choice}`" for choice in value["enum"])
     if value["type"] == "array":
-        return f"list of {_kind(value['items'], definitions)}"
+        return f"list of {_several(value['items'], definitions)}"
     if value["type"] == "object":
         inner = value["additionalProperties"]
-        return "map" if "properties" in value else f"{_kind(inner, definitions)} by name"
+        return "map" if "properties" in value else f"{_several(inner, definitions)} by name"
     if value.get("pattern") == definitions["name"]["pattern"]:
         return "name"
     kinds = [value["type"]] if isinstance(value["type"], str) else value["type"]
     return " or ".join(WORDS[kind] for kind in kinds)
+
+
+def _several(value: dict[str, Any], definitions: dict[str, Any]) -> str:
+    """What several values may be."""
+    kinds = _kind(value, definitions).split(" or ")
+    return " or ".join(f"{kind}s" if kind.isalpha() else kind for kind in kinds)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,8 @@ How a page says what is to be done with a block (CONTRIBUTING.md has the same fo
     ```python           of one session, which has the shell's environment
     # mine/name.yaml    as the first line of a block (`//` in Verilog and C): the block is saved as that file
     ```yaml, ```json    otherwise: has to be one
-    <!-- not run: … --> above a block: it cannot run, for this reason; `none run` at the top of a page: none of them
+    <!-- not run: … --> above a block: it cannot run, for this reason; `none run` at the top of a page: none of them;
+                        `none run of X` at the top: none that begins with the line `# X`
     <!-- suite: … -->   at the top: what the page needs is in this further suite
 """
 
@@ -36,6 +37,7 @@ PATIENCE = 240.0  # seconds for a block; most end within one
 _FENCE = re.compile(r"^(?P<in> *)```(?P<kind>[\w{}-]*)[^\n]*\n(?P<text>.*?)^(?P=in)```$", re.MULTILINE | re.DOTALL)
 _REASON = re.compile(r"<!-- not run: ([^>]+) -->\s*\Z")
 _NONE = re.compile(r"^<!-- none run: ([^>]+) -->$", re.MULTILINE)
+_NONE_OF = re.compile(r"^<!-- none run of (\w+): ([^>]+) -->$", re.MULTILINE)
 _SUITE = re.compile(r"^<!-- suite: (\w+) -->$", re.MULTILINE)
 _NAME = re.compile(r"\A(?:#|//) (\S+\.\w+)\n")
 _PYTHON = """
@@ -70,13 +72,20 @@ class PageFailed(AssertionError):
 
 def blocks(page: str) -> list[Block]:
     """All blocks of a page, in order."""
-    none = _NONE.search(page)
+    none, none_of = _NONE.search(page), _NONE_OF.search(page)
+
+    def reason(found: re.Match[str]) -> str:
+        if none_of and found["text"].startswith(f"# {none_of[1]}\n"):
+            return none_of[2]
+        above = none or _REASON.search(page, 0, found.start())
+        return above[1] if above else ""
+
     return [
         Block(
             page.count("\n", 0, found.start()) + 1,
             found["kind"],
             re.sub(f"^{found['in']}", "", found["text"], flags=re.MULTILINE),
-            none[1] if none else reason[1] if (reason := _REASON.search(page, 0, found.start())) else "",
+            reason(found),
         )
         for found in _FENCE.finditer(page)
     ]
