@@ -171,8 +171,8 @@ class IcapLoader:
         info = self._told.get(port) or self._told.setdefault(port, port.info)
         if info.denied:
             raise LoadFailed(
-                f"{job.image.path.name}: the platform's firmware does not let the ICAP be selected; build it with "
-                "SECURE_ACCESS, or write loader: auto or fpga_manager"
+                f"{job.image.path.name}: the platform's firmware does not let the ICAP be selected; allow "
+                "0xFFCA3008 in its pm_mmio_access.c, or write loader: auto or fpga_manager"
             )
         there, wanted = info.idcode, job.image.idcode
         if there and wanted is not None and (there ^ wanted) & ~_REVISION:

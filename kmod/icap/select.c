@@ -13,8 +13,8 @@
  * PM_MMIO_WRITE (19) as drivers/firmware/xilinx/zynqmp.c makes it: function
  * PM_SIP_SVC | 19, first register address and, above it, mask, second register
  * value; the status is in the low word.  The PMU firmware allows the address
- * in pmAccessTable of its pm_mmio_access.c only if it was built with
- * SECURE_ACCESS, and says XST_PM_NO_ACCESS (2002) otherwise.  So it is asked
+ * in pmAccessTable of its pm_mmio_access.c where it was put there, or
+ * with SECURE_ACCESS, and says XST_PM_NO_ACCESS (2002) otherwise.  So it is asked
  * for the register (PM_MMIO_READ, 20) when the driver starts.  Whether by SMC or
  * HVC says the firmware's node, as to the kernel's own driver.
  *
@@ -191,7 +191,7 @@ static int zynqmp_init(struct cm_icap *icap)
 	ret = zynqmp_ask(icap);
 	if (ret) {
 		icap->info.caps |= CM_ICAP_CAP_DENIED;
-		dev_warn(icap->dev, "the platform's firmware does not give the port (%d): load through the FPGA manager, or build the firmware with SECURE_ACCESS\n",
+		dev_warn(icap->dev, "the platform's firmware does not give the port (%d): load through the FPGA manager, or allow 0xFFCA3008 in its pm_mmio_access.c\n",
 			 ret);
 	}
 	return 0;

@@ -127,6 +127,8 @@ def _cma(machine: Machine) -> Finding:
         advice = "DMA buffers need contiguous memory: a kernel with CONFIG_DMA_CMA, and cma=256M on its command line"
         return Finding("cma", "cma", path, State.MISSING, "none", advice)
     detail = f"{total >> 10} MiB, {free >> 10} free"
+    if re.search(r"zone +HighMem\n(?: .*\n)*? +cma +[1-9]", machine.text("proc/zoneinfo")):
+        detail += ", in high memory: buffers are uncached, and slower to read"
     if total < _LEAST_CMA:
         advice = f"less than {_LEAST_CMA >> 10} MiB: slots of long frames do not fit; cma=256M on the command line"
         return Finding("cma", "cma", path, State.WRONG, detail, advice)
@@ -142,8 +144,8 @@ def _firmware(machine: Machine) -> Finding:
     if any(d.driver for d in ports):
         return Finding("pmufw", "PMU firmware", path, State.OK, "cm_icap is bound")
     advice = (
-        "cm_icap did not bind: modprobe it; where dmesg says -EACCES, the PMU firmware was built without SECURE_ACCESS "
-        "and refuses to select the ICAP: build it with -DSECURE_ACCESS, or use loader: auto or fpga_manager"
+        "cm_icap did not bind: modprobe it; where dmesg says -EACCES, the PMU firmware refuses to select the ICAP: "
+        "allow 0xFFCA3008 in its pm_mmio_access.c (docs/boards/kv260.md), or use loader: auto or fpga_manager"
     )
     return Finding("pmufw", "PMU firmware", path, State.WRONG, "the ICAP's driver is not bound", advice)
 

@@ -112,6 +112,14 @@ def test_the_board_and_its_kernel_are_named(pynq: Tree) -> None:
 # ---- what is found, by kind of check ---------------------------------------------
 
 UIO_BUILT_IN = "lib/modules/5.15.19-xilinx-v2022.1/modules.builtin"
+ZONES = """\
+Node 0, zone   Normal
+  pages free     100
+        cma      0
+Node 0, zone  HighMem
+  pages free     100
+        cma      32768
+"""
 UIO_MISSING = "lib/modules/6.6.10-xilinx-v2024.1/modules.dep"
 Change = Callable[[Tree], object]
 
@@ -170,9 +178,10 @@ IN_6_6 = "lib/modules/5.15.19-xilinx-v2022.1/modules.dep"
         ("pynq", [file("sys/module/firmware_class/parameters/path", "/srv/fw\n\n")], "firmware", WRONG,
             ["printf %s /srv/fw >/sys/module/firmware_class/parameters/path"]),
         ("pynq", [file("proc/meminfo", "CmaTotal: 16384 kB\nCmaFree: 4096 kB\n")], "cma", WRONG, []),
-        ("pynq", [], "cma", OK, []),
+        ("pynq", [], "cma", OK, ["128 MiB, 127 free"]),
+        ("pynq", [file("proc/zoneinfo", ZONES)], "cma", OK, ["127 free, in high memory: buffers are uncached"]),
         ("pynq", [file("proc/meminfo", "MemTotal: 500000 kB\n")], "cma", MISSING, ["CONFIG_DMA_CMA"]),
-        ("kria", [node("a0000014.icap", "fpga-cm,icap-loader")], "pmufw", WRONG, ["SECURE_ACCESS", "loader: auto"]),
+        ("kria", [node("a0000014.icap", "fpga-cm,icap-loader")], "pmufw", WRONG, ["0xFFCA3008 in its pm_mmio_access.c", "loader: auto"]),
         # nodes
         *(
             ("pynq", [gone(UIO_BUILT_IN), node("node", compatible)], "unbound", WRONG, [f" modprobe {module}"])

@@ -70,7 +70,7 @@ def test_a_board_without_an_icap_loads_by_the_fpga_manager_and_says_why(
     ("lacks", "left_open", "code", "text"),
     [
         (no_port, True, "no_port", "icap: no /dev/cm_icap0; fpga_manager: this kernel's fpga_manager has no firmware"),
-        (denied, False, "load_failed", "SECURE_ACCESS"),
+        (denied, False, "load_failed", "pm_mmio_access.c"),
     ],
     ids=["no port", "the port that the schema insists on"],
 )

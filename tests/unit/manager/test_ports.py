@@ -250,8 +250,8 @@ def test_the_port_refuses_images_of_other_devices_and_is_asked_once(bench: Bench
     other.info.denied = True
     assert refused(lambda: check(job())) == (
         LoadFailed,
-        "b.bit: the platform's firmware does not let the ICAP be selected; build it with SECURE_ACCESS, or write "
-        "loader: auto or fpga_manager",
+        "b.bit: the platform's firmware does not let the ICAP be selected; allow 0xFFCA3008 in its "
+        "pm_mmio_access.c, or write loader: auto or fpga_manager",
     )
 
 
