@@ -21,6 +21,7 @@ from cm.server.streams.machine import (
     TRANSITIONS,
     IllegalTransition,
     NoSlots,
+    Step,
     StepKind,
     StreamEvent,
     StreamMachine,
@@ -168,6 +169,26 @@ def test_a_client_that_gets_no_slots_leaves_the_stream_as_it_was() -> None:
     assert (it.made, run(it), it.made, gone.settled) == (36, [], 8, True)
 
 
+def test_only_the_client_whose_slots_there_are_not_is_refused_by_a_stream_that_runs() -> None:
+    it = machine()
+    it.join(0, 4, GREEDY)
+    run(it)
+    for client, depth in ((1, 60), (2, 50)):
+        it.join(client, depth, Peer(client, "reader", client))
+    step = it.next()
+    assert step is not None
+    assert [member.client for member in it.failed(step, DeviceError(12, "no memory"), 8)] == [2]
+    assert ([member.client for member in it.waiting], it.phase) == ([1], StreamPhase.RUNNING)
+
+
+def test_a_stream_that_runs_and_cannot_give_its_hardware_slots_fails() -> None:
+    it = machine()
+    it.join(0, 4, GREEDY)
+    run(it)
+    assert it.failed(Step(StepKind.GIVE, 9), DeviceError(24, "no descriptors"), 8) == []
+    assert (it.phase, list(it.members)) == (StreamPhase.RESTING, [0])
+
+
 @pytest.mark.parametrize("error", [DeviceError(12, "no memory"), DeviceTimeout(110, "no answer")])
 def test_a_stream_without_slots_for_the_hardware_refuses_all_that_wait(error: DeviceError) -> None:
     it = machine()
@@ -193,6 +214,7 @@ def test_clients_on_this_machine_wait_while_their_stream_is_closed_unless_they_l
     assert [member.client for member in it.waiting] == [4]
     it.after(StreamEvent.CLOSE)
     assert (list(it.members), it.joined, it.next(), ended) == ([1, 4], {}, None, [])
+    assert all(member.settled for member in it.members.values())
     it.open(CAMERA)
     assert run(it) == ["1", "4", "start"]
     for client in (1, 4):
