@@ -224,8 +224,7 @@ class Told:
     def load(self, board: cm.Board, config: str, mode: str) -> None:
         self.asked.append(f"load {config}/{mode}")
         self.place.add((config, mode))
-        if self.place != {(config, mode)}:
-            self.registers.clear()  # in another mode they are what it sets
+        self.registers.clear()  # they are what the mode sets, also where it is loaded again
         board.load(config, mode)
         self.place = {(config, mode)}
         self.look(board)
