@@ -171,7 +171,7 @@ test-fleet: $(VENV)/.installed-test-networks ### a fleet over the keeper, and ov
 	@$(ETCD)
 	CM_ETCD=1 $(PYTEST) tests/fleet tests/integration/test_fleet_findings.py -s --fleet-rounds=$(ROUNDS) --stopped=$(STOPPED) --seed=$(SEED) $(PYTEST_ARGS)
 
-soak-fleet: ### the same in long: each phase of a change meets each fault, over both stores (SEED=1; five hours)
+soak-fleet: ### the same in long: each phase of a change meets each fault, over both stores (SEED=1; two hours)
 	$(MAKE) --no-print-directory test-fleet ROUNDS=500
 
 device-suite: $(VENV)/.installed-test ## tests of the device layer: BOARD=sim, or BOARD=hw TARGET=user@host (or LAB=labgrid.yaml; BOARD_FILE, BOARD_PYTHON)
