@@ -247,7 +247,6 @@ class ClientStatus:
     slots: int = 0
     upload_bytes: int = 0
     waiting_bytes: int = 0  # of requests that wait, and of replies that it has not read
-    loop_seconds: float = 0.0
     requests: int = 0
     refused: int = 0
     account: str = ""  # to which it belongs: a user, a key, or an address
