@@ -181,7 +181,8 @@ IN_6_6 = "lib/modules/5.15.19-xilinx-v2022.1/modules.dep"
         ("pynq", [], "cma", OK, ["128 MiB, 127 free"]),
         ("pynq", [file("proc/zoneinfo", ZONES)], "cma", OK, ["127 free, in high memory: buffers are uncached"]),
         ("pynq", [file("proc/meminfo", "MemTotal: 500000 kB\n")], "cma", MISSING, ["CONFIG_DMA_CMA"]),
-        ("kria", [node("a0000014.icap", "fpga-cm,icap-loader")], "pmufw", WRONG, ["0xFFCA3008 in its pm_mmio_access.c", "loader: auto"]),
+        ("kria", [node("a0000014.icap", "fpga-cm,icap-loader")], "pmufw", WRONG,
+            ["0xFFCA3008 in its pm_mmio_access.c", "loader: auto"]),
         # nodes
         *(
             ("pynq", [gone(UIO_BUILT_IN), node("node", compatible)], "unbound", WRONG, [f" modprobe {module}"])
