@@ -419,6 +419,15 @@ def test_a_setting_whose_slots_cannot_be_allocated_is_not_applied(slots: Allocat
     assert camera.ask(rq.ReadData("camera", 30.0)).error is None
 
 
+def test_a_setting_of_a_stream_that_goes_before_it_has_started_is_answered(slots: Allocator, camera: Daemon) -> None:
+    slots.hold(2)
+    camera.send(ConfigureStream("camera", slots=200, enable=True))
+    slots.held()
+    camera.server._streams.resume(None, None, {})  # a mode that has no such stream
+    error = camera.reply().error
+    assert error == ErrorInfo("stream_stopped", "stream 'camera' was stopped: this mode has none of that name")
+
+
 def test_channels_that_answer_again_are_released_and_named() -> None:
     (one, wakes_one), (other, wakes_other) = os.pipe(), os.pipe()
     stalled = StalledChannels({"dma1": one, "dma2": other}.__getitem__)
