@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Situations that users of peers reported, tried here."""
+"""Situations that users of peers reported, tried here: a test's name has the numbers of the issues.
+
+They are of Xilinx/PYNQ, zeromq/pyzmq, Koheron/koheron-sdk, strath-sdr/rfsoc_qpsk (39), and
+dspsandbox/FPGA-Notes-for-Scientists (7).
+"""
 
 from __future__ import annotations
 
