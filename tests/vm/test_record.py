@@ -23,10 +23,9 @@ def tree(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_three_boards_run_each_time_and_five_wait() -> None:
+def test_three_boards_run_each_time_and_four_wait() -> None:
     assert {name for name, tier in TIERS.items() if record.waits(tier)} == {
         "custom",
-        "sanitize",
         "silicon-6.12",
         "zynq",
         "remote",

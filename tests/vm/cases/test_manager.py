@@ -17,7 +17,7 @@ import cm
 from cm import device
 from cm.client.errors import WindowRevoked
 from cm.errors import CmError
-from cm.formats.bitstream import device_by_name, open_image
+from cm.formats.bitstream import device_by_name, open_image, to_dma_words
 from cm.formats.bitstream.geometry import frame_order
 from cm.formats.bitstream.memory import frames_of
 
@@ -235,6 +235,41 @@ def test_overlays_of_a_mode_are_in_the_live_tree_and_their_drivers_bound(board: 
     assert (camera.exists(), leds.exists()) == (False, False)
     assert (driver("58002000.camera"), driver("58004000.leds")) == (None, None)
     assert not [path.name for path in OVERLAYS.iterdir() if path.name != "static"]
+
+
+def noticed(board: cm.Board) -> str:
+    """What the status says of another program that loaded the PL, or took an overlay away, once it does."""
+    until(lambda: board.status.last_error and board.status.last_error.code == "other_loader")
+    assert board.status.last_error is not None
+    return board.status.last_error.message
+
+
+@pytest.mark.needs("overlay", "fpga", "board_overlay")
+def test_what_another_program_loads_is_noticed_and_nothing_is_served_of_it(board: cm.Board) -> None:
+    board.mode = "loopback"  # which has no overlays: the other program's finds the region free
+    (FIRMWARE / "edge.bit.bin").write_bytes(to_dma_words((FIRMWARE / "edge.bit").read_bytes()))
+    overlays, before = device.Overlays("/"), loads()
+    overlays.apply("app", (FIRMWARE / "edge.dtbo").read_bytes())  # as `xmutil loadapp`
+    try:
+        assert "overlay app was applied, which loads one" in noticed(board)
+        assert (board.status.mode, {region.state for region in board.status.regions}) == ("", {"unknown"})
+        with pytest.raises(CmError, match="overlay app was applied"):
+            board.registers["scratch"]
+        assert loads() == before + 1, "the manager fights with nobody"
+    finally:
+        overlays.remove("app")
+    board.load("camera", "default")
+    assert board.registers["focus"] == 1
+
+
+@pytest.mark.needs("overlay", "board_overlay")
+def test_an_overlay_that_another_program_takes_away_ends_the_mode(board: cm.Board) -> None:
+    name = next(path.name for path in OVERLAYS.iterdir() if path.name != "static")
+    device.Overlays("/").remove(name)
+    assert f"overlay {name} was removed" in noticed(board)
+    assert board.status.mode == ""
+    board.load("camera", "default")
+    assert driver("58002000.camera") == "cm_window"
 
 
 def open_files(manager: Manager) -> int:

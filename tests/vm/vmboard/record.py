@@ -13,7 +13,7 @@ from pathlib import Path
 
 from vmboard.cache import digest, source_files
 from vmboard.paths import REPOSITORY
-from vmboard.tiers import Tier
+from vmboard.tiers import TIERS, Tier
 
 RECORD = REPOSITORY / "tests/vm/good.json"
 # Those that run each time: one on Debian's kernel, one on the kernel's own drivers, one with our packages.
@@ -55,7 +55,7 @@ def good(tier: Tier, record: Path = RECORD, tree: Path = REPOSITORY) -> None:
     """Note that all of a board's tests passed just now."""
     if not waits(tier) or any(os.environ.get(name) for name in SUBSTITUTES):
         return
-    known = _read(record)
+    known = {name: entry for name, entry in _read(record).items() if name in TIERS}  # a board may be there no more
     today = datetime.datetime.now(datetime.timezone.utc).date()
     known[tier.name] = {"state": state(tier, tree), "day": today.isoformat()}
     text = json.dumps(dict(sorted(known.items())), indent=2) + "\n"
