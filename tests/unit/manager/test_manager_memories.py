@@ -448,7 +448,7 @@ def test_a_memory_is_not_configured_as_a_stream(made: Rig) -> None:
     made.manager.memories.check_no_memory("samples")
     assert refused(lambda: made.manager.memories.check_no_memory("taps")) == (
         InvalidRequest,
-        "memory 'taps' is not a stream: only one that was defined at run time can be defined anew, with address and "
+        "memory 'taps' is not a stream: only one that was defined at run time can be defined again, with address and "
         "length",
     )
 
