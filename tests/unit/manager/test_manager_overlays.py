@@ -47,7 +47,7 @@ def test_a_copy_names_another_file_or_none_and_is_the_same_otherwise() -> None:
             "userkey-encrypted-fpga-config asks for a way",
         ),
         ({"firmware-name": b"a.bin\0", "encrypted-key-name": b"00\0"}, "encrypted-key-name asks for a way of loading"),
-        ({"fpga-config-from-dmabuf": b""}, "fpga-config-from-dmabuf would load what cannot be looked at beforehand"),
+        ({"fpga-config-from-dmabuf": b""}, "fpga-config-from-dmabuf would load what cannot be checked first"),
     ],
 )
 def test_what_cannot_be_known_beforehand_is_refused(properties: dict[str, bytes], reason: str) -> None:
