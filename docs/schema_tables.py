@@ -73,8 +73,9 @@ def page(name: str) -> str:
     path, sections = SECTIONS[name]
     schema = json.loads((DOCS.parent / path).read_text())
     made: list[str] = []
+    above: dict[str, str] = {}
     for title, where in sections.items():
-        made.append(_section(title, _at(schema, where), schema["definitions"], "".join(made)))
+        made.append(_section(title, _at(schema, where), schema["definitions"], above))
     head, rest = (DOCS / name).read_text().split(BEGIN)
     return head + BEGIN + "\n" + "\n".join(made) + END + rest.split(END)[1]
 
@@ -86,14 +87,24 @@ def _at(schema: dict[str, Any], where: str) -> dict[str, Any]:
     return found
 
 
-def _section(title: str, shape: dict[str, Any], definitions: dict[str, Any], above: str) -> str:
+def _section(title: str, shape: dict[str, Any], definitions: dict[str, Any], above: dict[str, str]) -> str:
+    """The list of a shape. Several keys of a list ``above``, word for word, are named with that list's title."""
     choice = shape.get("anyOf", [shape])[-1]
     shape, said = choice, choice.get("description") or shape.get("description", "")
     required = shape.get("required", ())
     keys = {key: value for key, value in shape["properties"].items() if key != "doc"}
-    rows = [_row(key, value, key in required, definitions) for key, value in keys.items()]
-    is_new = said and f". {said}\n" not in above
-    return "\n".join([f"## `{title}`", "", *([said, ""] if is_new else []), *rows, ""])
+    rows = {key: _row(key, value, key in required, definitions) for key, value in keys.items()}
+    known: dict[str, list[str]] = {}
+    for key, row in rows.items():
+        if row in above:
+            known.setdefault(above[row], []).append(f"`{key}`")
+    known = {first: names for first, names in known.items() if len(names) > 1}
+    listed = [row for row in rows.values() if above.get(row) not in known]
+    listed += [f"- {', '.join(names)}: as in `{first}`." for first, names in known.items()]
+    is_new = said and not any(row.endswith(f". {said}") for row in above)
+    for row in rows.values():
+        above.setdefault(row, title)
+    return "\n".join([f"## `{title}`", "", *([said, ""] if is_new else []), *listed, ""])
 
 
 def _row(key: str, value: dict[str, Any], required: bool, definitions: dict[str, Any]) -> str:
@@ -116,16 +127,21 @@ def _kind(value: dict[str, Any], definitions: dict[str, Any]) -> str:
     """What a value may be, in a few words."""
     value = _follow(value, definitions)
     if "anyOf" in value:
-        return " or ".join(dict.fromkeys(_kind(choice, definitions) for choice in value["anyOf"]))
+        any_of = " or ".join(dict.fromkeys(_kind(choice, definitions) for choice in value["anyOf"]))
+        return any_of.replace("text or list of texts", "texts")  # as the head of the page says
     if "complex128" in value.get("enum", ()):
         return "dtype"  # the head of each page lists them
+    if "w1crs" in value.get("enum", ()):
+        return "one of [these](schema.md#a-first-example)"
     if "enum" in value:
         return ", ".join(f"`{choice}`" for choice in value["enum"])
     if value["type"] == "array":
         return f"list of {_several(value['items'], definitions)}"
     if value["type"] == "object":
         inner = value["additionalProperties"]
-        return "map" if "properties" in value else f"{_several(inner, definitions)} by name"
+        if "properties" in value:
+            return "map"
+        return f"{'maps' if 'additionalProperties' in inner else _several(inner, definitions)} by name"
     if value.get("pattern") == definitions["name"]["pattern"]:
         return "name"
     kinds = [value["type"]] if isinstance(value["type"], str) else value["type"]
@@ -135,7 +151,7 @@ def _kind(value: dict[str, Any], definitions: dict[str, Any]) -> str:
 def _several(value: dict[str, Any], definitions: dict[str, Any]) -> str:
     """What several values may be."""
     kinds = _kind(value, definitions).split(" or ")
-    return " or ".join(f"{kind}s" if kind.isalpha() else kind for kind in kinds)
+    return " or ".join(f"{kind}s" if kind.isalpha() and kind != "texts" else kind for kind in kinds)
 
 
 if __name__ == "__main__":
