@@ -123,7 +123,7 @@ class Overlay(DefaultHierarchy):
         """`dtbo` may be the one of the bitstream's name alone; PYNQ's further arguments have no effect."""
         bit = Path(bitfile_name).absolute()
         if not bit.is_file():
-            raise FileNotFoundError(f"Bitstream file {bitfile_name} does not exist.")
+            raise FileNotFoundError(f"Bitstream file {bitfile_name} does not exist. Name the one that was imported.")
         _check_dtbo(bit, dtbo)
         self.bitfile_name, self._name = str(bit), to_name(bit.stem)
         self.ip_dict = blocks(read(described_by(bit)))
@@ -147,7 +147,7 @@ class Overlay(DefaultHierarchy):
         if self._name not in board().configs:
             raise NotFound(
                 f"the manager has no configuration {self._name!r}: `cm import pynq {self.bitfile_name} --out DIR`, DIR "
-                "being a folder that it reads, makes one"
+                "being a folder that it reads, makes one; a manager that runs sees it after a reload or restart"
             )
         for opened in list(places().until_load):
             opened.close()

@@ -52,6 +52,7 @@ DESIGN = hwh(
             ("odd", 0x43C00000, 0x10000),
             ("deaf", 0x40410000, 0x10000),
             ("told", 0x40420000, 0x10000),
+            ("plain", 0x40430000, 0x10000),
         ),
     ),
     module(
@@ -71,7 +72,8 @@ DESIGN = hwh(
     module("fifo", "axis_data_fifo", buses(("S_AXIS", "SLAVE", "a"), ("M_AXIS", "MASTER", "b"))),
     module("negate", "negate", buses(("x", "SLAVE", "b"), ("y", "MASTER", "e"))),
     module("deaf", "axi_dma", buses(("M_AXIS_MM2S", "MASTER", "c"), ("S_AXIS_S2MM", "SLAVE", "d"))),
-    module("told", "axi_dma", buses(("M_AXIS_MM2S", "MASTER", "f"), ("S_AXIS_S2MM", "SLAVE", "f"))),
+    module("told", "axi_dma", buses(("M_AXIS_MM2S", "MASTER", "f"), ("S_AXIS_S2MM", "SLAVE", "g"))),
+    module("plain", "plain", KERNEL, buses(("S", "SLAVE", "f"), ("M", "MASTER", "g"))),
 )
 MODELS = """
 from cm.simulation.software import HlsKernel, Model
@@ -171,6 +173,8 @@ def test_what_has_no_model_is_told_once_and_what_models_print_is_seen(capfd: pyt
         moved(board, "dma", np.zeros(8, np.uint8))
     said = capfd.readouterr().err.splitlines()
     assert [line for line in said if "has no model" in line] == [
-        "cm sim: odd (xilinx.com:ip:odd:1.0) of all has no model: registers keep what is written, streams give nothing"
+        "cm sim: odd (xilinx.com:ip:odd:1.0) of all has no model: registers keep what is written, streams give nothing",
+        "cm sim: plain (xilinx.com:ip:plain:1.0) of all has no model: registers keep what is written, "
+        "streams pass unchanged",
     ]
     assert {"uart: hello", "negate has 8 bytes of dma_mm2s"} <= {*said}

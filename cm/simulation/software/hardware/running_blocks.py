@@ -183,10 +183,12 @@ class RunningBlocks:
     def _say(self, config: Config) -> None:
         """What nothing models, once."""
         for block in config.blocks.values():
-            if self._kind(config, block) is None and expected(block):
+            streams = block.peers or any(block.name in other.peers for other in config.blocks.values())
+            kind = self._kind(config, block)
+            if (kind is None and expected(block)) or (kind is HlsKernel and streams):
                 keeps = ["registers keep what is written"] if block.size else []
-                streams = any(block.name in other.peers for other in config.blocks.values()) or block.peers
-                told = ", ".join([*keeps, *(["streams give nothing"] if streams else [])])
+                passed = "streams give nothing" if kind is None else "streams pass unchanged"
+                told = ", ".join([*keeps, *([passed] if streams else [])])
                 _log.warning("%s (%s) of %s has no model: %s", block.name, block.vlnv, config.name, told)
 
 
