@@ -88,7 +88,6 @@ CM_NEEDS_CLIENT = "python3-asyncio \
                    python3-numpy \
                    python3-protobuf \
                    python3-pyzmq \
-                   python3-shell \
                    python3-statistics \
                    python3-threading"
 CM_NEEDS_DAEMON = "python3-compression \
@@ -104,8 +103,8 @@ CM_NEEDS_INIT = "${@bb.utils.contains('DISTRO_FEATURES', 'systemd', '', 'util-li
 RDEPENDS:${PN}-client:append:class-target = " ${CM_NEEDS_CLIENT}"
 RDEPENDS:${PN}:append:class-target = " ${PN}-client (= ${EXTENDPKGV}) ${CM_NEEDS_DAEMON} ${CM_NEEDS_INIT}"
 RDEPENDS:${PN}-sim:append:class-target = " ${PN} (= ${EXTENDPKGV})"
-RDEPENDS:${PN}-build:append:class-target = " ${PN}-sim (= ${EXTENDPKGV}) python3-jinja2"
-RDEPENDS:${PN}-bench:append:class-target = " ${PN}-sim (= ${EXTENDPKGV})"
+RDEPENDS:${PN}-build:append:class-target = " ${PN}-sim (= ${EXTENDPKGV}) python3-jinja2 python3-shell"
+RDEPENDS:${PN}-bench:append:class-target = " ${PN}-sim (= ${EXTENDPKGV}) python3-shell"
 RDEPENDS:${PN}-web:append:class-target = " ${PN}-client (= ${EXTENDPKGV}) python3-aiohttp python3-netclient"
 RDEPENDS:${PN}-bridge:append:class-target = " ${PN} (= ${EXTENDPKGV}) python3-ctypes python3-datetime python3-netclient python3-sqlite3"
 RDEPENDS:${PN}-ptest += "${PN}-sim python3-pytest python3-unittest-automake-output"
