@@ -581,7 +581,7 @@ class _Planner:
 
     def _registers_of(self, region: str) -> frozenset[str]:
         own = self._config.registers_of(region)
-        return own if self._old is None else own | self._old.registers_of(region)
+        return own if self._old is None or self._old is self._config else own | self._old.registers_of(region)
 
     def _streams(self, regions: set[str], everything: bool) -> tuple[str, ...]:
         """Present streams that pass through a changed region, or look different afterwards."""

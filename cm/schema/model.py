@@ -470,8 +470,8 @@ class Config:
 
     def registers_of(self, region: str) -> frozenset[str]:
         """Names of a region's registers, in all modes."""
-        visible = (r for mode in self.modes for r in self.visible_registers(mode).values())
-        return frozenset([r.name for r in visible if r.region == region])
+        visible = [self.visible_registers(mode) for mode in self.modes]
+        return frozenset([name for registers in visible for name, r in registers.items() if r.region == region])
 
     def controls(self, mode: str) -> Iterator[tuple[Register, int]]:
         """What `run` of a mode starts: the registers with a field `start`, and what is written to each."""
