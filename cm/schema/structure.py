@@ -19,7 +19,7 @@ from cm.schema.paper_listing import fold, lift_overlays, windows
 from cm.schema.problems import KeyPath, did_you_mean
 from cm.schema.schema_forms import follow, for_values, normal_form, without_references
 from cm.schema.tree import Entry, Items, Mark, Node, Scalar, Table, plain
-from cm.schema.value_errors import Finding, findings, joined, name_form
+from cm.schema.value_errors import Finding, description, findings, joined, name_form
 
 SCHEMA_FILE = Path(__file__).parent / "data" / "runtime.schema.json"
 _WINDOW = "#/definitions/window"
@@ -168,7 +168,7 @@ class _Walk:
                 self._report(entry.mark, (*path, key), "unknown_key", f"unknown key {key[:80]!r}", hint)
         for key in shape.get("required", ()):
             if key not in table.entries:
-                hint = _description(self._resolve(properties[key]))
+                hint = description(self._resolve(properties[key]))
                 self._report(table.mark, path, "missing_key", f"{key} is missing", hint)
         return result
 
@@ -181,7 +181,7 @@ class _Walk:
                 node = self.node(entry.node, shape["additionalProperties"], (*path, name))
                 result.add(name, Entry(entry.mark, node))
             else:
-                hint = joined(name_form(pattern), _description(names))
+                hint = joined(name_form(pattern), description(names))
                 self._report(entry.mark, (*path, name), "bad_name", f"{name[:80]!r} is not a name", hint)
         return result
 
@@ -204,8 +204,3 @@ class _Walk:
 
 def _json_type(value: object) -> str:
     return {str: "string", int: "integer"}.get(type(value), "")
-
-
-def _description(schema: dict[str, Any]) -> str:
-    text: str = schema.get("description", "")
-    return text.rstrip(".")

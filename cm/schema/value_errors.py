@@ -20,6 +20,7 @@ _KINDS = {
     "boolean": "true or false",
 }
 _NAME = re.compile(r"\^\[A-Za-z_\]\[A-Za-z0-9(?P<signs>[_/-]+)\]\{0,(?P<more>\d+)\}\$")  # as our schemas write it
+_LINK = re.compile(r"\[([^]]*)\]\([^)]*\)")
 _RANGES = ("minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum")
 
 
@@ -75,7 +76,7 @@ def _cut(data: Any, path: KeyPath) -> bool:
 
 def _finding(path: KeyPath, error: Any) -> Finding:
     rule, value, wanted = error.rule, error.value, error.rule_definition
-    about: str = error.definition.get("description", "").rstrip(".")
+    about = description(error.definition)
     if rule == "type":
         hint = "write it without quotes" if _is_quoted_number(value, wanted) else about
         return Finding(path, "bad_type", f"expected {_kinds(wanted)}, found {_found(value)}", hint)
@@ -108,6 +109,11 @@ def name_form(pattern: str) -> str:
 
 def _is_quoted_number(value: object, wanted: str | list[str]) -> bool:
     return wanted in ("integer", "number") and isinstance(value, str) and type(resolve(value)) in (int, float)
+
+
+def description(schema: dict[str, Any]) -> str:
+    """What a schema says of a value, without the links that its page has."""
+    return _LINK.sub(r"\1", schema.get("description", "")).rstrip(".")
 
 
 def joined(*parts: str) -> str:
