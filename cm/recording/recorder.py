@@ -235,11 +235,14 @@ class Recorder:
         status = self._status
         assert status is not None
         yield record.channel(layout.CLOCK), self._clock()
-        told = replace(status, changes=self._past.changes, writes=self._past.writes)
-        yield record.channel(layout.STATUS), bytes(encode_status(told)[1])
+        yield record.channel(layout.STATUS), self._with_past(status)
         yield record.channel(layout.CONFIG), encode_table(self._config)
         values = RegValues(tuple(self._values.values()), status.config_name, status.mode)
         yield record.channel(layout.REGISTERS), bytes(encode_registers(values)[1])
+
+    def _with_past(self, status: Status) -> bytes:
+        """A status with the history behind it. The answer's own status is of later, before those on their way."""
+        return bytes(encode_status(replace(status, changes=self._past.changes, writes=self._past.writes))[1])
 
     def _tick(self) -> None:
         """Once a second."""
@@ -289,7 +292,7 @@ class Recorder:
             return
         if status.last_change != known.last_change:  # how long its steps took, and who asked for it
             self._past = board.ask(calls.history())
-            self._log(layout.STATUS, bytes(encode_status(self._past)[1]), self._now())
+            self._log(layout.STATUS, self._with_past(status), self._now())
         if _place(status) == _place(known) and status.config_name == self._config.name:
             return
         self._look_up(board, status)

@@ -80,7 +80,7 @@ class _Teller:
         start = opened.started_ns
         self.story = Story(Status(), opened.offset_ns, start, start, recorded=True)
         self._changes: dict[int, PastChange] = {}
-        self._exact: set[int] = set()  # numbers of changes that the manager itself has described
+        self._exact: set[int] = set()  # numbers of changes that the manager has described at their end
         self._writes: dict[str, PastWrite] = {}
         self._by: dict[int, Audit] = {}  # who asked, by change
         self._wrote: dict[int, Audit] = {}  # who wrote, by generation
@@ -126,8 +126,11 @@ class _Teller:
                 known.clear()
             self._exact.clear()
         for change in status.changes:
-            self._changes[change.number] = change
-            self._exact.add(change.number)
+            if change.ended_ns:
+                self._changes[change.number] = change
+                self._exact.add(change.number)
+            elif change.number not in self._changes:  # its steps: those of before the record, the others are told
+                self._changes[change.number] = change if before.sequence == 0 else replace(change, steps=())
         for write in status.writes:
             self._writes[write.name] = write
         if status.progress is not None:

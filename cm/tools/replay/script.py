@@ -119,12 +119,16 @@ def state_of(story: Story, change: PastChange) -> State:
 
 
 def ended_states(ended: dict[int, State], story: Story, but: int = 0) -> None:
-    """Add the states of changes that a story says have ended, numbered above `but`; none while one runs."""
-    if story.status.fpga_busy:
+    """Add the state of the change that a story's status is the end of, if it is numbered above `but`.
+
+    A story may know of later changes, which a history tells before their statuses come, and of earlier ones.
+    """
+    number = story.status.last_change
+    if story.status.fpga_busy or number <= but or number in ended:
         return
     for change in story.changes:
-        if change.ended_ns and change.number > but and change.number not in ended:
-            ended[change.number] = state_of(story, change)
+        if change.number == number and change.ended_ns:
+            ended[number] = state_of(story, change)
 
 
 def read_script(
@@ -158,15 +162,18 @@ def read_script(
             if story.status.config_name and not story.values:
                 continue  # what the registers held comes right behind
             first = story
-            last_first = max((c.number for c in story.changes), default=story.status.last_change)
+            last_first = story.status.last_change
         if first is not None:
             ended_states(states, story, last_first)
-            changes.update((c.number, c) for c in story.changes if c.number in states)
+            changes.update((c.number, c) for c in story.changes if c.ended_ns and c.number > last_first)
             for window in story.status.windows:
                 if window.writes:
                     left_out[f"what {window.client} wrote by its window of {window.region}"] = None
     if first is None:
         raise InvalidRequest("the record has no whole state in that time, from which it could be run again")
+    for number in changes.keys() - states.keys():
+        left_out[f"how change {number} left the board: the status at its end is not in the record"] = None
+        del changes[number]
     for change in changes.values():
         if needs_fault(change) and fault_of(change) is None:
             left_out[f"why change {change.number} failed: {change.error.message if change.error else ''}"] = None

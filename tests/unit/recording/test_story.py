@@ -10,20 +10,23 @@ from recording_support import BEGAN, OFFSET, OPENED
 
 from cm.errors import InvalidRequest
 from cm.recording.reader import Event
-from cm.recording.story import Story, of_record
+from cm.recording.story import Story, of_record, stories
 from cm.recording.times import time_in, until
 from cm.recording.why import explain, fault
+from cm.tools.replay.script import State, ended_states
 from cm.wire.messages.status import (
     Audit,
     ErrorInfo,
     FrameInfo,
     Irq,
+    PastChange,
     PrMode,
     Progress,
     RegionStatus,
     RegValue,
     RegValues,
     Status,
+    StepTaken,
 )
 from cm.wire.records import FrameSeen, Gap
 
@@ -50,6 +53,31 @@ CHANGE = (
     (2.5, "cm_status", status(5, "edge", 2, last_change_seconds=0.5)),
 )
 ASKED = Audit("ChangeMode", "cm_write_config", b"", ANNA, "uid:1001", 811, 3 * S, 3 * S + S // 2, change=2)
+
+
+def test_a_change_is_seen_at_its_own_end_though_a_history_told_of_it_before() -> None:
+    """A recorder asks for the history behind a status; the next changes may have begun or ended by then."""
+    gone = PastChange(2, "camera", "edge", "camera", "default", 2 * S, 3 * S, steps=(StepTaken("load", "prr0", 2 * S),))
+    failed = ErrorInfo("load_failed", "load edge into prr0")
+    begun = PastChange(3, "camera", "edge", "camera", "edge", 4 * S, steps=(StepTaken("decouple", "prr0", 4 * S),))
+    ended = PastChange(3, "camera", "edge", "camera", "edge", 4 * S, 5 * S, steps=(*begun.steps, *gone.steps), error=failed)
+    broken = {"last_error": failed, "pr_mode": PrMode.ERROR}
+    events = [
+        *CHANGE,
+        (2.6, "cm_status", status(5, "edge", 2, changes=(gone, begun))),
+        (2.7, "cm_status", status(6, "edge", 2, "decouple")),
+        (2.8, "cm_status", status(7, "edge", 2, "load")),
+        (2.85, "cm_status", status(8, "edge", 3, **broken)),
+        (2.86, "cm_status", status(8, "edge", 3, **broken, changes=(gone, ended, PastChange(4, "camera", "plain", ended_ns=6 * S)))),
+        (2.9, "cm_status", status(11, "plain", 4)),
+    ]
+    states: dict[int, State] = {}
+    for story in stories(OPENED, [Event(BEGAN + round(seconds * S), topic, value) for seconds, topic, value in events]):
+        ended_states(states, story, 1)
+    assert {number: (state.place, state.pr_mode, state.error) for number, state in states.items()} == {
+        2: ("camera/edge", "idle", ""), 3: ("camera/edge", "error", "load_failed"), 4: ("camera/plain", "idle", ""),
+    }  # fmt: skip
+    assert states[3].steps == (("decouple", "prr0"), ("load", "prr0"))
 
 
 @pytest.mark.parametrize("audited", [(2.6, 1), (1.9, 0)], ids=["behind it", "before it"])
