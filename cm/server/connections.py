@@ -179,9 +179,8 @@ class Sessions:
         pid, uid, gid = credentials(connection)
         return of_process(DATA, uid, gid, pid).id
 
-    def check_open(self, connection: socket.socket, wanted: Open) -> None:
-        """Raise Forbidden if a connection to the data socket requests something that it has no right to."""
-        who = self.whose(connection)
+    def check_open(self, who: str, wanted: Open) -> None:
+        """Raise Forbidden if a client of the data socket wants what it has no right to, as the board is now."""
         try:
             self.gate.check(who, *needs_of(OPENING[wanted.purpose], wanted, self.scene()))
         except Forbidden as error:

@@ -102,6 +102,7 @@ class Server:
         self._status = StatusPublisher(self._loop, self._publisher, self._streams)
         self._manager = Manager(configs, self._environment(), leases)
         self._sessions = Sessions(gate, options.runtime_dir, self._sockets.tcp, self._manager)
+        self._streams.begin(self._sessions)
         self._windows: OpenWindows | None = None
         self._reads: LocalReads | None = None
         self._data_socket = DataSocket(

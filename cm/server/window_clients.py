@@ -92,7 +92,7 @@ class OpenWindows:
         """A change has ended: those that wait may get theirs."""
         for client in [client for client in self._clients if client.loan is None]:
             try:
-                self._rights.check_open(client.connection, client.wanted)
+                self._rights.check_open(self._rights.whose(client.connection), client.wanted)
                 self._try(client)
             except (CmError, OSError) as error:
                 with suppress(OSError):

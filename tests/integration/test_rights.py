@@ -171,6 +171,80 @@ def test_a_user_whose_role_is_taken_away_loses_streams_subscriptions_and_request
         assert board.status.mode == "default"
 
 
+MOVING = """
+config:
+  name: moving
+  type: partial
+  regions:
+    prr0: {decoupler: {base_address: 0x1000, offset: 0, bit: 0}}
+    prr1: {decoupler: {base_address: 0x1000, offset: 0, bit: 1}}
+  modules:
+    default: {region: prr0}
+    other: {region: prr1}
+  streams:
+    camera: {direction: s2mm, shape: [48, 64], rate: 100, region: prr0}
+  modes:
+    near: {modules: [default, other]}
+    far: {modules: [default, other], streams: {camera: {region: prr1}}}
+"""
+
+LOOK = """
+import json, os, sys
+import cm, cm.client.board, cm.client.data_connection, cm.client.stream, numpy.linalg, encodings.idna, hashlib
+from cm.errors import CmError
+
+uid, gid, runtime = json.loads(sys.argv[1])
+os.setgroups([gid]); os.setgid(uid); os.setuid(uid)
+board = cm.connect(runtime_dir=runtime, timeout=60)
+for _ in range(2):
+    try:
+        frames = iter(board.stream("camera", timeout=60))
+        next(frames)
+        print("ready", flush=True)
+        while True:
+            next(frames)
+    except (CmError, OSError) as error:
+        print(type(error).__name__, error, flush=True)
+os._exit(0)
+"""
+
+
+@pytest.mark.programs
+@needs_root
+def test_who_may_read_in_one_region_does_not_follow_a_stream_into_another() -> None:
+    """Whose right reaches there goes on, and so does the user with the limit where a change leaves the stream there."""
+    with short_folder() as folder:
+        folder.chmod(0o755)
+        (folder / "moving.yaml").write_text(MOVING)
+        with SimBoard([folder / "moving.yaml"], root=folder / "board") as sim:
+            settings = folder / "cm.yaml"
+            settings.write_text(
+                f"state_dir: {folder}/state\naccess: {{group: '{GROUP}', local: [], "
+                f"users: {{{ALICE}: eye}}, roles: {{eye: {{role: observe, regions: [prr0]}}}}}}\n"
+            )
+            arguments = ("--settings", str(settings), "--config", str(folder / "moving.yaml"), "--root", str(sim.root))
+            manager = Manager(folder / "run", *arguments, service=True)
+            manager.start()
+            try:
+                with manager.connected() as board:
+                    board.load("moving", "near")
+                    command = [sys.executable, "-c", LOOK, json.dumps([ALICE, GROUP, str(manager.runtime)])]
+                    looks = subprocess.Popen(command, env=environment(), stdout=subprocess.PIPE, text=True, cwd=REPOSITORY)
+                    with looks, board.stream("camera", timeout=60) as stream:
+                        assert looks.stdout is not None
+                        assert looks.stdout.readline() == "ready\n"
+                        board.load("moving", "near")
+                        next(iter(stream))
+                        assert looks.poll() is None
+                        board.set_mode("far")
+                        lost, refused = looks.stdout.read().splitlines()
+                        assert lost.startswith("ConnectionLost ")
+                        assert "has no right to data on configuration 'moving', region 'prr1'" in refused
+                        next(iter(stream))
+            finally:
+                manager.stop()
+
+
 MAP = """
 import json, os, sys
 import cm, cm.client.board, cm.client.register_window

@@ -126,8 +126,8 @@ class ConnectionRights(Protocol):
     def whose(self, connection: socket.socket) -> str:
         """The id of the peer."""
 
-    def check_open(self, connection: socket.socket, wanted: Open) -> None:
-        """Raise Forbidden if the peer has no right to what it wants."""
+    def check_open(self, who: str, wanted: Open) -> None:
+        """Raise Forbidden if the peer of that id has no right to what it wants, as the board is now."""
 
 
 Serve = Callable[[socket.socket, Open, Peer], Iterator[object] | None]  # the caller closes the connection
@@ -194,7 +194,7 @@ class DataSocket:
             with connection, suppress(OSError):
                 try:
                     wanted = decode_open(packet)
-                    self._sessions.check_open(connection, wanted)
+                    self._sessions.check_open(self._queued[connection], wanted)
                     yield from self._serves[wanted.purpose](connection, wanted, Peer.of(connection)) or ()
                 except CmError as error:
                     connection.send(encode_refused(error.code, str(error)))

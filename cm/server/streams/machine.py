@@ -116,7 +116,7 @@ def share(stream: str, depth: int, peer: Peer, held: Iterable[tuple[Peer, int]],
 class Member:
     """A client of a stream, which it stays while the stream is closed; but for the daemon's own (`peer` None)."""
 
-    __slots__ = ("client", "depth", "error", "joined", "leaving", "ours", "peer", "settled", "stopped")
+    __slots__ = ("check", "client", "depth", "error", "joined", "leaving", "ours", "peer", "settled", "stopped")
 
     def __init__(self, client: int, depth: int, peer: Peer | None, stopped: Callable[[int], object]) -> None:
         """`stopped` is to be called with an errno, or 0, if the stream ends while the client waits."""
@@ -126,6 +126,7 @@ class Member:
         self.leaving = False  # it only holds frames yet
         self.settled = False  # its first wait is over
         self.error: Exception | None = None  # why it was refused
+        self.check: Callable[[Stream], object] = lambda _: None  # raises what forbids it the stream as it is now
 
 
 class StepKind(Enum):

@@ -33,6 +33,7 @@ from cm.server.streams.channel_setup import changed, setup
 from cm.server.streams.client_memory import Allocations, Echoes, MemoryThread
 from cm.server.streams.client_process import Peer
 from cm.server.streams.compression import check_compression
+from cm.server.streams.data_socket import ConnectionRights
 from cm.server.streams.lifecycle import StreamLifecycle, StreamStopped, Users
 from cm.server.streams.machine import OPEN_PHASES, NoSlots, Step, StreamEvent, StreamPhase
 from cm.server.streams.over_zmq import ZmqReader, ZmqWriter
@@ -248,11 +249,25 @@ class RunningStreams:
         self._lifecycle.check_may_run(stream.name)
         return self.open.get(stream.name) or self._open(stream)
 
-    def join(self, stream: Stream, connection: socket.socket, wanted: Open, peer: Peer) -> Iterator[object]:
+    def end_forbidden(self, stream: Stream) -> None:
+        """Hang up on the clients that may not have a stream where this mode has it."""
+        machine = self._lifecycle.machine(stream.name)
+        for member in list(machine.members.values()):
+            try:
+                member.check(stream)
+            except CmError as error:
+                _LOG.warning("a client of stream %s was hung up on: %s", stream.name, error)
+                member.error = error
+                machine.left(member.client)
+                self.plane.drop(member.client)
+
+    def join(
+        self, stream: Stream, connection: socket.socket, wanted: Open, peer: Peer, check: Callable[[Stream], object]
+    ) -> Iterator[object]:
         """Make a connection a client of a stream, and wait until it has its slots; the caller closes the connection.
 
-        Where the stream may not run now, or is stopped meanwhile, its client is told so and waits for it. Raises
-        NoSlots, DeviceError; then the connection is no client.
+        Where the stream may not run now, or is stopped meanwhile, its client is told so and waits for it. `check`
+        raises what forbids it the stream elsewhere. Raises that, NoSlots, DeviceError; then it is no client.
         """
 
         def stopped(error: int) -> None:
@@ -262,6 +277,7 @@ class RunningStreams:
         client, machine = self.plane.adopt(os.dup(connection.fileno())), self._lifecycle.machine(stream.name)
         try:
             member = machine.join(client, wanted.depth, peer, self._slots_each, stopped)
+            member.check = check
             if not self._lifecycle.may_run(stream.name) and stream.name not in self.open:
                 member.settled = True
                 stopped(0)
@@ -426,7 +442,12 @@ class Streams:
         self.memories = self._driver.echoes, self._driver.allocations  # for clients that want no stream
         self.moved, self.wrote = self._driver.moved, self._driver.plane.wrote
         self._idle: dict[str, tuple[Stream, StreamStatus]] = {}
+        self._rights: ConnectionRights
         self.renew(limits)
+
+    def begin(self, rights: ConnectionRights) -> None:
+        """Ask this for the rights of clients of the data socket, from before the first one."""
+        self._rights = rights
 
     def renew(self, limits: Limits) -> None:
         """Set other limits; clients keep what they have."""
@@ -451,8 +472,12 @@ class Streams:
         self._loop.ask(lambda: self._enter(config, mode, held))
 
     def _enter(self, config: Config | None, mode: str | None, held: Mapping[str, str | None]) -> None:
+        before, left = self._lifecycle.streams, self._lifecycle.config
         for name in self._lifecycle.enter(config, mode, held):
             self._driver.stop(name)
+        for name, stream in self._lifecycle.streams.items():  # a right, and a lease, is to the place where it was
+            if config is not left or name not in before or before[name].region != stream.region:
+                self._driver.end_forbidden(stream)
         self._idle.clear()
         self._driver.failures.clear()
         for opened in self._driver.open.values():
@@ -550,11 +575,19 @@ class Streams:
         They raise UnknownStream, NoSlots, DeviceError; also HeldBy, if the region is leased to another client and this
         one would write, or could hold up the hardware.
         """
-        writes = wanted.purpose is Purpose.WRITE
+        writes, who = wanted.purpose is Purpose.WRITE, self._rights.whose(connection)
         stream = self.named(wanted.name, Direction.MM2S if writes else Direction.S2MM)
-        if writes or stream.backpressure:
-            self.check_lease(stream, wanted.lease)
-        yield from self._driver.join(stream, connection, wanted, peer)
+
+        def check_lease(now: Stream) -> None:
+            if writes or now.backpressure:
+                self.check_lease(now, wanted.lease)
+
+        def check(now: Stream) -> None:
+            self._rights.check_open(who, wanted)
+            check_lease(now)
+
+        check_lease(stream)
+        yield from self._driver.join(stream, connection, wanted, peer, check)
 
     def status(self) -> tuple[StreamStatus, ...]:
         """Report all streams of this mode."""

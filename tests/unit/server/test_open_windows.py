@@ -79,7 +79,7 @@ class Bench:
         self.loop, self.lends, self.told = Watched(), Lends(), list[object]()
         self.forbidden: Exception | None = None
         manager: Any = SimpleNamespace(windows=self.lends, tell_registers=self.told.append)
-        rights: Any = SimpleNamespace(check_open=self._check)
+        rights: Any = SimpleNamespace(check_open=self._check, whose=lambda _: "ipc")
         self.windows = OpenWindows(self.loop, manager, SimpleNamespace(), rights)  # type: ignore[arg-type]
         self.clients: list[socket.socket] = []
 

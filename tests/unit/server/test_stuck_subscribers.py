@@ -241,10 +241,10 @@ def test_what_a_connection_opens_takes_a_right_to_it(
             topics = ("*",) if on == "everything" else ("data",)
             access = Access(local=("one",), roles={"one": Grant(given, topics=topics)})
             if given >= needed:
-                sessions(tmp_path, access).check_open(ours, wanted)
+                (made := sessions(tmp_path, access)).check_open(made.whose(ours), wanted)
                 continue
             with pytest.raises(Forbidden) as refused:
-                sessions(tmp_path, access).check_open(ours, wanted)
+                (made := sessions(tmp_path, access)).check_open(made.whose(ours), wanted)
             said = f"anna (uid 1000, pid 77) has no right to {on}; it takes the role {role} there"
             assert str(refused.value) == said
             assert caplog.messages == [f"refused: {said}"]
