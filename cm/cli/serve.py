@@ -82,11 +82,6 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--keys", type=Path, metavar="FILE", help="server key file of 'cm keygen', for TCP")
     parser.add_argument("--insecure", action="store_true", help="allow TCP beyond this machine without keys")
-    parser.add_argument(
-        "--metrics",
-        metavar="[HOST:]PORT",
-        help="serve metrics for Prometheus there; without HOST, for this machine only",
-    )
     parser.add_argument("--images", type=Path, metavar="DIR", help="with --sim: photographs for its camera")
     parser.add_argument("--models", action="append", default=[], metavar="FILE",
         help="with --sim: your own models, a .py file or module with a mapping MODELS")  # fmt: skip
@@ -220,7 +215,6 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
         access=access,
         group=group_of(settings),
         name=args.name or said.name,
-        metrics=_metrics(args) or said.metrics,
         load=args.load or said.load or ("camera" if example else ""),
         settings=ManagerSettings(prefetch_bytes=said.dma.prefetch_mib << 20, new_board=board is not None),
         scrub=said.scrub,
@@ -233,18 +227,6 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
         reload=partial(read_again, args, paths, settings),
         changed=partial(stamps, args, settings),
     )
-
-
-def _metrics(args: argparse.Namespace) -> str:
-    """Where to serve metrics, as this command was told: who asks here sees at once that a library is missing."""
-    if args.metrics:
-        from importlib.util import find_spec
-
-        from cm.server.options import NO_METRICS
-
-        if find_spec("prometheus_client") is None:
-            raise InvalidRequest(f"--metrics: {NO_METRICS}")
-    return args.metrics or ""
 
 
 def _simulated_schemas(args: argparse.Namespace, runtime: Path) -> list[Path]:

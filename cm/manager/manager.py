@@ -93,7 +93,6 @@ class Manager:
         self.registers = RegisterService(state, self._bus, self.leases)
         self.memories = MemoryService(state, self.registers, self._bus, self.leases)
         self.reporter = StatusReporter(state, env.observer)
-        self.totals = self.reporter.totals
         self.leases.on_change = self._leases_changed
         self._windows: Windows | None = None
         self._tools = Tools(

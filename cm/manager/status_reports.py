@@ -3,16 +3,12 @@
 
 from __future__ import annotations
 
-import threading
 import time
-from bisect import bisect_left
-from collections import Counter
-from collections.abc import Mapping, Sequence
-from itertools import accumulate
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from cm.frozen import dataclass, replace
+from cm.frozen import replace
 from cm.manager.history import History
 from cm.manager.state.board_state import BoardState, RegionState
 from cm.manager.state.journal import Kept, ManagerState
@@ -68,8 +64,7 @@ class StatusReporter:
     def __init__(self, state: ManagerState, observer: Observer) -> None:
         self._state = state
         self._observer = observer
-        self.totals = ChangeTotals()  # since this manager's start
-        self.health = Health()  # likewise
+        self.health = Health()  # since this manager's start
         self.history = History()  # likewise
         self._running = False
         self._full = False  # the running change loads a whole image
@@ -95,7 +90,6 @@ class StatusReporter:
     def ended(self, number: int, error: ErrorInfo | None, seconds: float, touched: bool = True) -> None:
         """No change runs any more; `changed` tells it. `touched`: whether it has done anything to the board."""
         self._progress, self._running = None, False
-        self.totals.ended(error.code if error else None, seconds)
         self._last = (number, seconds, time.monotonic_ns())
         code = error.code if error else "cancelled"
         self._error, self._failed = error, code == "device_gone" or (touched and code != "cancelled")
@@ -334,97 +328,3 @@ def memory_info(m: Memory, modes: tuple[str, ...] = (), defined: bool = False) -
     """A memory; `modes` is empty where all have it."""
     region, shape = m.region or "", m.shape or ()
     return MemoryInfo(m.name, m.address, m.size, m.access.value, m.dtype, shape, region, m.doc, modes, defined)
-
-
-CHANGE_SECONDS = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0)
-
-
-class Distribution(NamedTuple):
-    """How many values lie within each bound (the last entry has none), and the sum of all."""
-
-    bounds: tuple[float, ...]
-    at_most: tuple[int, ...]
-    sum: float
-
-
-class Histogram:
-    """Values by size; the caller takes care of locking."""
-
-    def __init__(self, bounds: Sequence[float]) -> None:
-        self._bounds = tuple(bounds)
-        self._counts = [0] * (len(self._bounds) + 1)
-        self._sum = 0.0
-
-    def add(self, value: float) -> None:
-        """One more."""
-        self._counts[bisect_left(self._bounds, value)] += 1
-        self._sum += value
-
-    def read(self) -> Distribution:
-        """As it is now."""
-        return Distribution(self._bounds, tuple(accumulate(self._counts)), self._sum)
-
-
-class Times(NamedTuple):
-    """How many there were, and the seconds that they took together."""
-
-    number: int = 0
-    seconds: float = 0.0
-
-
-class Loads(NamedTuple):
-    """Images that a port took: how many, their bytes, and its seconds."""
-
-    number: int = 0
-    bytes: int = 0
-    seconds: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class ChangeCounts:
-    """Changes by how they ended, with their times, those of each kind of step, and what was loaded."""
-
-    outcomes: Mapping[str, int]
-    failures: Mapping[str, int]  # by the error's code
-    seconds: Distribution
-    steps: Mapping[str, Times]
-    loads: Mapping[str, Loads]
-
-
-class ChangeTotals:
-    """Adds up what changes do."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._outcomes = Counter[str]()
-        self._failures = Counter[str]()
-        self._seconds = Histogram(CHANGE_SECONDS)
-        self._steps: dict[str, Times] = {}
-        self._loads: dict[str, Loads] = {}
-
-    def ended(self, code: str | None, seconds: float) -> None:
-        """A change has ended; `code` is its error's, None where it went well."""
-        with self._lock:
-            self._outcomes["done" if code is None else "cancelled" if code == "cancelled" else "failed"] += 1
-            if code is not None:
-                self._failures[code] += 1
-            self._seconds.add(seconds)
-
-    def took(self, step: str, seconds: float) -> None:
-        """A step went well."""
-        with self._lock:
-            number, before = self._steps.get(step, (0, 0.0))
-            self._steps[step] = Times(number + 1, before + seconds)
-
-    def loaded(self, port: str, length: int, seconds: float) -> None:
-        """An image of `length` bytes went through a port."""
-        with self._lock:
-            so_far = self._loads.get(port, Loads())
-            self._loads[port] = Loads(so_far.number + 1, so_far.bytes + length, so_far.seconds + seconds)
-
-    def read(self) -> ChangeCounts:
-        """All counts, as of one moment."""
-        with self._lock:
-            return ChangeCounts(
-                dict(self._outcomes), dict(self._failures), self._seconds.read(), dict(self._steps), dict(self._loads)
-            )

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
@@ -53,8 +52,6 @@ class Dispatcher:
         self._order = Order(services.manager, self._carry_out)
         self._publisher = publisher
         self._note_error = note_error
-        self.taken = 0
-        self.refused = Counter[str]()  # by the error's code
         self._known, self._untold = self._clients.known, self._clients.untold
         self._coming: list[tuple[Any, int]] = [(sockets.req, int(zmq.POLLIN))]
         self._kept: Ring[tuple[Client, Message]] = Ring()  # of those that ask over several connections
@@ -67,7 +64,6 @@ class Dispatcher:
         came = receive_from(self._sockets.sub, routed=False)
         client = self._known.get(came.connection) or self._clients.of(came.connection)
         client.requests += 1
-        self.taken += 1
         reply = self._fire_and_forget
         self._dispatch(split_text(came.frames), _PUBLISHED, came.connection, client, client, reply)
 
@@ -142,7 +138,6 @@ class Dispatcher:
         self._reply(envelope, topic, client, refusal(error))
 
     def _answer(self, came: Message, charged: Client) -> None:
-        self.taken += 1
         frames, connection, client = came.frames, came.connection, charged
         if len(frames) == 4 and not frames[1]:
             cut = 2
@@ -161,8 +156,6 @@ class Dispatcher:
         self._dispatch(message, bytes(frames[0]), connection, client, charged, reply)
 
     def _reply(self, envelope: list[Frame], topic: bytes, client: Client, reply: Reply) -> None:
-        if reply.error is not None:
-            self.refused[reply.error.code] += 1
         frames = [*envelope, *encode_reply(topic, reply, self._publisher.sequence)]
         sender: bytes = frames[0]  # type: ignore[assignment]
         # It may stay in ZeroMQ unread; the client's record knows how much does.
@@ -176,7 +169,6 @@ class Dispatcher:
 
     def _fire_and_forget(self, reply: Reply) -> None:
         if reply.error is not None:
-            self.refused[reply.error.code] += 1
             self._note_error(reply.error)
 
     def _dispatch(

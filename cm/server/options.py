@@ -15,8 +15,6 @@ from cm.server.reload import Reloaded
 from cm.server.rights.model import Access, Security
 from cm.server.settings.model import USUAL, Limits, ScrubSettings
 
-NO_METRICS = "they need prometheus-client: pip install prometheus-client, or Debian's python3-prometheus-client"
-
 
 @dataclass(frozen=True, slots=True)
 class Options:
@@ -31,7 +29,6 @@ class Options:
     access: Access = Access()
     group: int | None = None  # of the runtime folder and its sockets; None: that of this process
     load: str = ""
-    metrics: str = ""  # where to serve them: PORT on this machine, or HOST:PORT
     name: str = ""  # of the board, for people and to tell several apart; empty: that of its host
     queue_bytes: int = BYTES  # of frames that may wait for one subscriber over ZeroMQ
     firmware_dir: Path | None = None  # for copies that the kernel reads; None: where it looks anyway

@@ -14,16 +14,14 @@ from functools import partial
 
 from cm.errors import CmError
 from cm.manager.execution.region_readback import Checked, Pace
-from cm.manager.execution.worker import Change
 from cm.manager.manager import Manager
 from cm.manager.state.board_state import RegionPhase
 from cm.server.settings.model import ScrubSettings
 from cm.server.sockets import Loop
-from cm.wire.messages.requests import ChangeMode, CheckRegion
+from cm.wire.messages.requests import CheckRegion
 from cm.wire.messages.status import RegionCheck
 
 _LOG = logging.getLogger("cm")
-SAFE = "safe"  # the mode that the policy of this name goes to
 
 
 class Scrubber:
@@ -104,18 +102,12 @@ class Scrubber:
             self._under_way.discard(name)
             return
         done = partial(self._loop.call_threadsafe, partial(self._under_way.discard, name))
+        why = f"as bits of region {name} were wrong (scrub)"
         try:
-            self._act(name, policy, lambda _: done())
+            self._manager.repair(CheckRegion(name, repair=True), lambda _: done(), why=why)
         except CmError as error:
             self._refused(name, error)
             self._under_way.discard(name)
-
-    def _act(self, name: str, policy: str, on_done: Callable[[Change], None]) -> None:
-        if policy == SAFE:
-            self._manager.submit(ChangeMode(mode=SAFE), on_done, why=f"as bits of region {name} were wrong (scrub)")
-        else:
-            request = CheckRegion(name, repair=True, reload=policy == "reload")
-            self._manager.repair(request, on_done, why=f"as bits of region {name} were wrong (scrub)")
 
     def _refused(self, name: str, error: Exception) -> None:
         if self._said.get(name) != str(error):

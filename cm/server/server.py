@@ -26,7 +26,7 @@ from cm.server.dispatcher import Dispatcher
 from cm.server.interrupts import InterruptWatch
 from cm.server.lease_watch import LeaseWatch
 from cm.server.long_work import FileThread, RoundRobin
-from cm.server.options import NO_METRICS, Options
+from cm.server.options import Options
 from cm.server.private_folders import Locks, private_folder
 from cm.server.provision import Provisioner
 from cm.server.publisher import Publisher, StatusPublisher, mark
@@ -49,7 +49,6 @@ if TYPE_CHECKING:
     import socket
 
     from cm.server.local_reads import LocalReads
-    from cm.server.metrics import Metrics  # imports an HTTP server
     from cm.server.streams.client_process import Peer
     from cm.server.window_clients import OpenWindows
 
@@ -120,7 +119,6 @@ class Server:
         self._dispatcher = Dispatcher(
             self._loop, self._sockets, self._services(), self._publisher, note_error=self._note_error
         )
-        self._metrics: Metrics | None = None
         self._sensors = SensorWatch(options.root, self._publisher.measured)
 
     def _configs(self) -> dict[str, Config]:
@@ -181,12 +179,12 @@ class Server:
     def serve(self, on_ready: Callable[[], None] = lambda: None) -> None:
         """Bind, reconcile, serve. Returns after `stop()`. Raises CmError if it cannot begin."""
         try:
-            metrics = self._bind()
+            self._bind()
             self._manager.start()  # what it finds out is logged with the status that tells it
             self._board.begin()
             self._begin_scrubbing()
             self._loop.every(_TICK, self._tick)
-            self._sockets.announce(metrics)
+            self._sockets.announce()
             self._service.ready()
             if self._service.interval is not None:  # from the loop, so that one that hangs is restarted
                 self._loop.every(self._service.interval, self._service.alive)
@@ -203,32 +201,17 @@ class Server:
         """Read schemas, settings and keys again; what runs goes on. Safe in a signal handler."""
         self._loop.call_threadsafe(self._reloader.begin)
 
-    def _bind(self) -> str:
-        """Listen everywhere; returns where metrics are served."""
+    def _bind(self) -> None:
         self._loop.add_socket(self._authenticator.socket, self._authenticator.answer)
         self._sockets.bind_ipc()
         self._data_socket.open()
         for address in self._options.listen:
             bound = self._sockets.bind_tcp(address, self._options.security)
             _LOG.info("listening on %s, %s, %s", bound.pub, bound.sub, bound.req)
-        metrics = self._open_metrics() if self._options.metrics else ""
         self._sensors.start()
         self._loop.add_socket(self._sockets.pub, self._status.take_subscriptions)
         self._loop.add_socket(self._sockets.sub, self._dispatcher.on_message)
         self._loop.add_socket(self._sockets.req, self._dispatcher.on_request, foremost=True)
-        return metrics
-
-    def _open_metrics(self) -> str:
-        """Serve them; returns where. Without the library the board is served all the same."""
-        try:
-            from cm.server.metrics import Metrics
-        except ModuleNotFoundError as error:
-            if error.name != "prometheus_client":
-                raise
-            _LOG.error("no metrics are served: %s", NO_METRICS)
-            return ""
-        self._metrics = Metrics(self._services(), self._dispatcher)
-        return self._metrics.open(self._options.metrics)
 
     def _begin_scrubbing(self) -> None:
         if self._options.scrub:
@@ -242,8 +225,6 @@ class Server:
 
     def _close(self) -> None:
         self._service.stopping()
-        if self._metrics is not None:
-            self._metrics.close()
         users = (self._uploads.close, self._streams.end, self._turns.close, self._interrupts.close)
         watches = (self._sensors.close, self._leases.close, self._files.close, self._board.close)
         board = (self._publisher.close, self._devices.lost, self._journal.close, self._sockets.close)

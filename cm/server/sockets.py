@@ -187,12 +187,11 @@ class Sockets:
                 socket.curve_publickey = security.public_key
                 socket.curve_secretkey = security.secret_key
 
-    def announce(self, metrics: str = "") -> None:
+    def announce(self) -> None:
         """Write where this manager listens, for clients and people."""
         ipc, *tcp = ({name: getattr(ends, name) for name in names(ends)} for ends in (self.ipc, *self.tcp))
         listens = {"ipc": ipc, "tcp": tcp, "data": str(self._folder / SOCKET)}
-        beside = {"metrics": metrics} if metrics else {}
-        text = json.dumps({"pid": os.getpid(), **listens, **beside}, indent=1)
+        text = json.dumps({"pid": os.getpid(), **listens}, indent=1)
         new = self._folder / (ENDPOINTS_FILE + ".new")
         with os.fdopen(open_inside(self._folder, new.name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), "w") as file:
             file.write(text + "\n")

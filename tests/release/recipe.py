@@ -37,7 +37,7 @@ OTHERS = {
 OPTIONAL = {
     "pytest",  # of whoever runs tests
     "argcomplete", "cocotb", "foxglove", "grpc_tools", "iceoryx2", "lz4", "matplotlib", "mcap", "mcap_ros2", "PIL",
-    "cryptography", "prometheus_client", "pyslang", "scipy",
+    "cryptography", "pyslang", "scipy",
     "systemrdl", "tree_sitter", "tree_sitter_vhdl", "xxhash", "zenoh", "setuptools",
 }  # fmt: skip
 

@@ -215,7 +215,6 @@ def _take(run: StepContext, step: Step, action: Callable[[StepContext, Any], Non
         seconds, what = time.monotonic() - started, (step.kind, step.subject, int(started * 1e9))
         run.tools.reporter.history.took(StepTaken(*what, seconds, run.port_seconds, failed, run.best_effort))
     run.tools.state.took(step.kind, seconds, run.port_seconds)
-    run.tools.reporter.totals.took(step.kind, seconds)
 
 
 IDENTITY_READS = 1000  # each read takes longer than a clock cycle of the region, all of them longer than any reset
@@ -317,7 +316,6 @@ def _timed(run: StepContext, step: s.Load | s.LoadStatic, start: Start) -> None:
     start(run.tell)
     run.port_seconds = run.tools.time.monotonic() - started
     run.tools.state.observed(step.port_kind, step.image.length, run.port_seconds)
-    run.tools.reporter.totals.loaded(step.port_kind.value, step.image.length, run.port_seconds)
 
 
 def check_static(run: StepContext, step: s.CheckStatic) -> None:

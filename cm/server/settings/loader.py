@@ -33,7 +33,6 @@ from cm.wire.topics import split_tcp
 
 _PEOPLE = ("users", "groups", "guests")
 _LISTS = ("local", "insecure")
-_LAST_PORT = 65535
 
 
 def access(values: Mapping[str, Any]) -> Access:
@@ -78,9 +77,6 @@ def impossible(values: Mapping[str, Any]) -> Iterator[tuple[KeyPath, str, str]]:
             split_tcp(address)
         except InvalidRequest as error:
             yield ("listen", index), str(error), ""
-    port = str(values.get("metrics", "")).rpartition(":")[2]
-    if port and int(port) > _LAST_PORT:
-        yield ("metrics",), f"there is no port {port}", f"at most {_LAST_PORT}"
     for region, said in values.get("scrub", {}).items():
         budget = (said or {}).get("budget", "1%")
         if not 0 < _percent(budget) <= 100:
@@ -155,8 +151,6 @@ def _value(name: str, value: Any) -> Any:
         return _GROUPS[name](**{key: Path(part) if key in _PATHS else part for key, part in parts.items()})
     if name in _PATHS:
         return Path(value)
-    if name == "metrics":
-        return str(value)
     return tuple(value) if isinstance(value, list) else value
 
 

@@ -31,7 +31,7 @@ class DmaSettings:
 class ScrubSettings:
     """A region that is compared with what was loaded, `every` so many seconds, in `budget` (0 to 1) of the port's time.
 
-    `policy`: what is done where it is wrong: repair, reload, safe (a mode of that name), tell.
+    `policy`: what is done where it is wrong: repair, or tell.
     """
 
     every: float = 10.0
@@ -92,7 +92,6 @@ class Settings:
     configs: tuple[str, ...] = SEARCH_PATH
     load: str = ""
     name: str = ""
-    metrics: str = ""
     runtime_dir: Path | None = None
     state_dir: Path | None = None
     firmware_dir: Path | None = None

@@ -37,7 +37,7 @@ from cm.server.streams.data_socket import ConnectionRights
 from cm.server.streams.lifecycle import StreamLifecycle, StreamStopped, Users
 from cm.server.streams.machine import OPEN_PHASES, NoSlots, Step, StreamEvent, StreamPhase
 from cm.server.streams.over_zmq import ZmqReader, ZmqWriter
-from cm.server.streams.stream import Done, Frame, Moved, OpenStream, StreamTotals
+from cm.server.streams.stream import Done, Frame, OpenStream
 from cm.wire.messages.requests import ConfigureStream
 from cm.wire.messages.status import ErrorInfo, StreamStatus
 from cm.wire.plane_packets import STOPPED, Descriptor, Open, Purpose
@@ -198,7 +198,6 @@ class RunningStreams:
         self.echoes = Echoes(self.plane, self._thread)
         self.allocations = Allocations(self.plane, self._thread, devices.port_memory, devices.memory)
         self.open: dict[str, OpenStream] = {}
-        self._totals = StreamTotals()
         self.failures: dict[str, ErrorInfo] = {}  # by stream of this mode: why it last failed
         self.zmq = ZmqClients(loop, self.plane, subscribers.frame, self._drive, on_error)
         self._turns = turns
@@ -356,7 +355,6 @@ class RunningStreams:
         """Close a stream that is in another phase by now; a channel that does not answer is watched until it does."""
         name = opened.stream.name
         del self.open[name]
-        self._totals.add(name, opened.moved())
         if (failure := opened.failure()) is not None:
             self.failures[name] = failure
         try:
@@ -367,10 +365,6 @@ class RunningStreams:
         finally:
             self.zmq.close(name, error)
             opened.started(error)
-
-    def moved(self) -> dict[str, Moved]:
-        """What each stream has moved since the manager started, however often it was reopened."""
-        return self._totals.with_ended({name: opened.moved() for name, opened in self.open.items()})
 
     def _failed(self, name: str, error: ErrorInfo) -> None:
         self.failures[name] = error
@@ -440,7 +434,7 @@ class Streams:
         self._lifecycle = StreamLifecycle()
         self._driver = RunningStreams(loop, devices, subscribers, self._lifecycle, on_error, limits.slots_each, turns)
         self.memories = self._driver.echoes, self._driver.allocations  # for clients that want no stream
-        self.moved, self.wrote = self._driver.moved, self._driver.plane.wrote
+        self.wrote = self._driver.plane.wrote
         self._idle: dict[str, tuple[Stream, StreamStatus]] = {}
         self._rights: ConnectionRights
         self.renew(limits)

@@ -10,8 +10,7 @@ from __future__ import annotations
 import errno
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Sequence
 
 from cm.device import AxiDma, DmaBuffer, DmaInfo, DmaType
 from cm.device.data_plane import Plane, StreamCounts, StreamSetup
@@ -49,34 +48,6 @@ def transfer_error(counts: StreamCounts, setup: StreamSetup) -> ErrorInfo | None
     if counts.error == errno.EIO and not setup.write:
         text += "; the packet was longer than the frame, or the bus reported an error"
     return ErrorInfo("transfer_failed", text)
-
-
-class Moved(NamedTuple):
-    """What a stream has moved."""
-
-    frames: int = 0
-    dropped: int = 0
-    errors: int = 0
-    bytes: int = 0
-
-    def plus(self, other: Moved) -> Moved:
-        """Both together."""
-        return Moved(*map(sum, zip(self, other, strict=True)))
-
-
-class StreamTotals:
-    """What streams moved before they were last opened: at that moment their own counters start at 0 again."""
-
-    def __init__(self) -> None:
-        self._ended: dict[str, Moved] = {}
-
-    def add(self, stream: str, moved: Moved) -> None:
-        """A stream was closed."""
-        self._ended[stream] = self._ended.get(stream, Moved()).plus(moved)
-
-    def with_ended(self, now: Mapping[str, Moved]) -> dict[str, Moved]:
-        """Totals of every stream that ever ran: what it has moved since it was opened, and before."""
-        return {name: self._ended.get(name, Moved()).plus(now.get(name, Moved())) for name in {**self._ended, **now}}
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,11 +189,6 @@ class OpenStream:
             slot_bytes=self.setup.length,
             last_error=transfer_error(counts, self.setup),
         )
-
-    def moved(self) -> Moved:
-        """What the stream has moved since it was opened."""
-        counts = self._plane.counts(self.id)
-        return Moved(counts.frames, counts.dropped, counts.errors, counts.bytes)
 
     def failure(self) -> ErrorInfo | None:
         """Why a transfer last failed, or None."""

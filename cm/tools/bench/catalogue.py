@@ -45,7 +45,6 @@ CASES = (
     Case("readback", ("readback_pass", "readback_scrub")),
     Case("fanout", ("fanout",)),
     Case("footprint", ("footprint",)),
-    Case("scraping", ("scraping",), needs="prometheus_client"),
     Case(
         "record",
         ("record_manager", "record_recorder", "record_p99", "record_frames", "record_frames_disk"),

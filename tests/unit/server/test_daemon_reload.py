@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Schemas, settings and rights that are reread while the daemon serves, and its page of metrics."""
+"""Schemas, settings and rights that are reread while the daemon serves."""
 
 from __future__ import annotations
 
-import json
 import logging
-import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
@@ -16,7 +14,6 @@ import zmq
 from daemon_thread import HUNG, Daemon, daemon
 from data_client import Client
 from manager_process import CAMERA, until
-from prometheus_client.parser import text_string_to_metric_families
 
 from cm.errors import InvalidRequest
 from cm.schema import load_folder
@@ -27,7 +24,7 @@ from cm.server.settings.model import USUAL
 from cm.wire import plane_packets as packets
 from cm.wire.encode import decode_reply, encode_request
 from cm.wire.messages import requests as rq
-from cm.wire.messages.requests import ChangeMode, ReadReg
+from cm.wire.messages.requests import ChangeMode
 from cm.wire.plane_packets import Open, Purpose
 
 MIB = 1 << 20
@@ -62,7 +59,7 @@ def source() -> Source:
 
 @pytest.fixture
 def served(source: Source) -> Iterator[Daemon]:
-    given = {"reload": source, "changed": lambda: source.stamp, "access": ACCESS, "metrics": "0"}
+    given = {"reload": source, "changed": lambda: source.stamp, "access": ACCESS}
     with daemon(**given) as made:
         (made.board.root / "lib/firmware/cm/other").symlink_to("camera")
         yield made
@@ -217,62 +214,3 @@ def test_rights_are_those_that_were_read_last(served: Daemon, source: Source, re
     reload(Reloaded({"camera": source.camera}, Access(guests={"web:ann": ("observe",)})))
     until(lambda: asks_for_ann() == "")
     bridge.close(linger=0)
-
-
-# ---- the page of metrics -----------------------------------------------------------------------
-
-
-def page(daemon: Daemon) -> dict[str, Any]:
-    """Families of the page by name, as Prometheus' own client reads them."""
-    address = json.loads((daemon.folder / "run" / "endpoints.json").read_text())["metrics"]
-    with urllib.request.urlopen(address if "://" in address else f"http://{address}/metrics", timeout=60) as reply:
-        return {family.name: family for family in text_string_to_metric_families(reply.read().decode())}
-
-
-def samples(family: Any) -> dict[tuple[str, ...], float]:
-    """Values by the values of their labels, in the order of the labels' names."""
-    return {tuple(value for _, value in sorted(sample.labels.items())): sample.value for sample in family.samples}
-
-
-def test_the_page_says_what_the_board_holds_and_what_was_done(served: Daemon) -> None:
-    planned = 0
-    for mode in ("default", "edge_detection"):
-        planned += (last := served.done(rq.PlanChange("camera", mode)).bytes)
-        served.load(mode)
-    served.board.control.inject("icap_crc")
-    served.refused(ChangeMode("camera", "colorise"))
-    told, status = page(served), served.status
-    assert samples(told["cm_start_time_seconds"]) == {(): pytest.approx(status.started_ns / 1e9)}
-    assert samples(told["cm_changes"]) == {("done",): 2, ("failed",): 1, ("cancelled",): 0}
-    steps = {s.labels["step"]: s.value for s in told["cm_change_step_seconds"].samples if s.name.endswith("_count")}
-    assert (steps["publish"], steps["load"] >= 2) == (3, True)
-    loads = {name: sum(samples(told[name]).values()) for name in ("cm_loads", "cm_loaded_bytes", "cm_load_seconds")}
-    assert (loads["cm_loads"], loads["cm_loaded_bytes"]) == (3, planned + last)  # and the way back
-    assert loads["cm_load_seconds"] > 0
-    (mine,) = samples(told["cm_client_requests"]).values()
-    assert mine > 0
-    again = page(served)
-    assert samples(again["cm_scrapes"])[()] > samples(told["cm_scrapes"])[()]
-    assert samples(again["cm_loop_lag_seconds"])
-
-
-def test_requests_are_counted_whether_they_are_answered_or_not_and_refusals_by_their_codes(served: Daemon) -> None:
-    def counted() -> tuple[float, dict[tuple[str, ...], float]]:
-        told = page(served)
-        return samples(told["cm_requests"])[()], samples(
-            told["cm_request_errors"]
-        ) if "cm_request_errors" in told else {}
-
-    served.load("default")
-    before, errors = counted()
-    served.done(ReadReg(("focus",)))
-    served.refused(ReadReg(("focsu",)))
-    assert counted() == (before + 2, {**errors, ("unknown_register",): errors.get(("unknown_register",), 0) + 1})
-    sender = served.connect(zmq.XPUB, "sub")
-    assert sender.recv() == b"\1cm_"
-    sender.send_multipart([b"cm_write_reg", b"{ 'focsu':0x2}"])
-    sender.send_multipart([b"cm_write_reg", b"{ 'focus':0x2}"])
-    until(
-        lambda: counted() == (before + 4, {**errors, ("unknown_register",): errors.get(("unknown_register",), 0) + 2})
-    )
-    sender.close(linger=0)

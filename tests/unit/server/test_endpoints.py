@@ -91,13 +91,11 @@ def test_endpoints_are_announced_and_removed_at_the_end(context, tmp_path: Path)
     made.bind_ipc()
     tcp = made.bind_tcp("tcp://127.0.0.1:0", None)
     made.announce()
-    assert "metrics" not in json.loads((tmp_path / ENDPOINTS_FILE).read_text())
-    made.announce("127.0.0.1:9469")
     said = json.loads((tmp_path / ENDPOINTS_FILE).read_text())
     assert said["pid"] == os.getpid()
     assert said["ipc"] == {name: f"ipc://{tmp_path}/{name}" for name in ("pub", "sub", "req")}
     assert said["tcp"] == [{"pub": tcp.pub, "sub": tcp.sub, "req": tcp.req}]
-    assert (said["data"], said["metrics"]) == (f"{tmp_path}/data", "127.0.0.1:9469")
+    assert said["data"] == f"{tmp_path}/data"
     made.close()
     assert list(tmp_path.iterdir()) == []
 

@@ -20,7 +20,7 @@ from cm.schema.model import Direction, Stream
 from cm.server.streams import stream
 from cm.server.streams.client_process import Peer
 from cm.server.streams.machine import StreamMachine
-from cm.server.streams.stream import Moved, OpenStream
+from cm.server.streams.stream import OpenStream
 from cm.wire.messages.status import ErrorInfo, FrameInfo, StreamClient, StreamStatus
 from cm.wire.plane_packets import Descriptor, Geometry, decode_geometry, encode_label
 
@@ -108,7 +108,7 @@ def test_an_open_stream_tells_its_settings_its_counters_and_its_clients() -> Non
     failed = ErrorInfo("transfer_failed", "a transfer of 32 bytes failed: Connection timed out")
     told = replace(state, slots=10, clients=(StreamClient(9, "view", False, 4, 3, 6, 5),), last_error=failed)
     assert it.stream.status() == told
-    assert (it.stream.failure(), it.stream.moved()) == (failed, Moved(7, 1, 2, 700))
+    assert it.stream.failure() == failed
 
 
 @pytest.mark.parametrize(

@@ -73,7 +73,6 @@ insecure: true
 configs: [/srv/a, /srv/b/*]
 load: camera/edge
 name: bench
-metrics: 0.0.0.0:9469
 runtime_dir: /run/a
 state_dir: /srv/state
 firmware_dir: /srv/firmware
@@ -98,7 +97,7 @@ access:
 """)
     assert known == Settings(
         ("tcp://0.0.0.0:5560", "tcp://localhost"), Path("/etc/cm/server.key"), True, ("/srv/a", "/srv/b/*"),
-        "camera/edge", "bench", "0.0.0.0:9469", Path("/run/a"), Path("/srv/state"), Path("/srv/firmware"), True, "info",
+        "camera/edge", "bench", Path("/run/a"), Path("/srv/state"), Path("/srv/firmware"), True, "info",
         StreamSettings(1.5), DmaSettings(7), {"prr0": ScrubSettings(policy="tell")},
         RecordSettings("/srv/box", "5min", ("camera",), "hash"), ImportSettings(4),
         PolicySettings("warn", Path("/srv/signers"), "refuse"), LimitSettings(leases=5),
@@ -159,12 +158,6 @@ def test_one_address_may_stand_without_a_list() -> None:
     assert parse_settings("listen: tcp://0.0.0.0:5560\n").listen == ("tcp://0.0.0.0:5560",)
 
 
-def test_a_port_for_metrics_is_a_number_or_text() -> None:
-    assert [parse_settings(f"metrics: {said}").metrics for said in ("9469", "'9469'", "kria:9469")] == [
-        "9469", "9469", "kria:9469",
-    ]  # fmt: skip
-
-
 @pytest.mark.parametrize(
     ("text", "found"),
     [
@@ -174,8 +167,6 @@ def test_a_port_for_metrics_is_a_number_or_text() -> None:
         ("listen: ['udp://x']\n", (1, 10, "listen[0]", "bad_value")),
         ("streams: {queue_mib: -1}\n", (1, 11, "streams.queue_mib", "value_range")),
         ("listen: [tcp://a:5560, 'tcp://a:70000']\n", (1, 24, "listen[1]", "value_range")),
-        ("metrics: 'kria:99999'\n", (1, 1, "metrics", "value_range")),
-        ("metrics: 99999\n", (1, 1, "metrics", "value_range")),
         ("scrub: {prr0: {budget: 200 %}}\n", (1, 16, "scrub.prr0.budget", "value_range")),
         ("scrub: {prr0: {budget: 0 %}}\n", (1, 16, "scrub.prr0.budget", "value_range")),
         ("imports: {keep: '3'}\n", (1, 11, "imports.keep", "bad_type")),
@@ -187,7 +178,6 @@ def test_a_port_for_metrics_is_a_number_or_text() -> None:
         ("access: {groups: {lab: [Observe]}}\n", (1, 25, "access.groups.lab[0]", "unknown_role")),
         ("access: {guests: {a: [b]}}\n", (1, 23, "access.guests.a[0]", "unknown_role")),
         ("scrub: {a: {budget: 100.1 %}}\n", (1, 13, "scrub.a.budget", "value_range")),
-        ("metrics: 65536\n", (1, 1, "metrics", "value_range")),
     ],
 )
 def test_a_mistake_in_the_settings_is_reported_with_its_place(text: str, found: tuple[int, int, str, str]) -> None:
@@ -199,7 +189,6 @@ def test_a_mistake_in_the_settings_is_reported_with_its_place(text: str, found: 
     [
         ("access: {local: [obsrve]}", "no role 'obsrve' (did you mean observe?)"),
         ("access: {local: [tunr], roles: {tuner: {role: map}}}", "no role 'tunr' (did you mean tuner?)"),
-        ("metrics: 'kria:65536'", "there is no port 65536 (at most 65535)"),
         ("scrub: {a: {budget: 101%}}", "'101%' is no share of the time (more than 0 %, at most 100 %)"),
     ],
 )
@@ -214,7 +203,7 @@ def test_a_mistake_in_the_settings_is_told_with_what_would_be_right(tmp_path: Pa
 
 
 def test_the_limits_of_values_are_accepted_and_blanks_and_comments_say_nothing() -> None:
-    assert parse_settings("metrics: 'kria:65535'\nscrub: {a: {budget: 100 %}}\n").metrics == "kria:65535"
+    assert parse_settings("scrub: {a: {budget: 100 %}}\n").scrub["a"].budget == 1.0
     assert parse_settings("\n  # a comment\n\t\n#log: loud\n") == Settings()
 
 

@@ -102,22 +102,22 @@ def test_what_is_missing_is_said_first_and_what_fails_costs_nothing_that_was_mea
 
     cases = (
         Case("fanout", ("fanout",), beside=("no_such_peer",)), Case("flood", ("flood",)),
-        Case("scraping", ("scraping",), needs="no_such_package"), Case("footprint", ("footprint",)),
+        Case("advisor", ("advisor",), needs="no_such_package"), Case("footprint", ("footprint",)),
     )  # fmt: skip
     monkeypatch.setattr(catalogue, "CASES", cases)
     monkeypatch.setattr(catalogue, "import_module", lambda name: made(name.rpartition(".")[2]))
     assert main(["bench", "--quick", "--json", str(tmp_path / "x.json")]) == 1
     told = capsys.readouterr()
     found = json.loads((tmp_path / "x.json").read_text(encoding="utf-8"))
-    assert {name: found[name]["value"] for name in ("fanout", "flood", "scraping", "footprint")} == {
-        "fanout": 1.5, "flood": None, "scraping": None, "footprint": 1.5,
+    assert {name: found[name]["value"] for name in ("fanout", "flood", "advisor", "footprint")} == {
+        "fanout": 1.5, "flood": None, "advisor": None, "footprint": 1.5,
     }  # fmt: skip
     assert found["flood"]["missing"] == "failed: no such socket"
-    assert found["scraping"]["missing"] == "not available without no_such_package: pip install 'fpga-cm[bench]'"
-    assert found["scraping"]["ran"] == "What scraping measures."
+    assert found["advisor"]["missing"] == "not available without no_such_package: pip install 'fpga-cm[bench]'"
+    assert found["advisor"]["ran"] == "What advisor measures."
     assert began == ["fanout", "flood", "footprint"]
     assert told.err.splitlines()[:2] == [
         "cm bench: fanout is measured without no_such_peer, which is not installed",
-        "cm bench: scraping: not available without no_such_package: pip install 'fpga-cm[bench]'",
+        "cm bench: advisor: not available without no_such_package: pip install 'fpga-cm[bench]'",
     ]
     assert "footprint    1.5 ms" in told.out

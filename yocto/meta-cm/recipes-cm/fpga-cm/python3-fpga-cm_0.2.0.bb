@@ -111,6 +111,6 @@ RDEPENDS:${PN}-ptest += "${PN}-sim python3-pytest python3-unittest-automake-outp
 RRECOMMENDS:${PN}-client:append:class-target = " python3-argcomplete"
 RRECOMMENDS:${PN}-sim:append:class-target = " python3-pillow"
 RRECOMMENDS:${PN}-web:append:class-target = " python3-pillow"
-RRECOMMENDS:${PN}:append:class-target = " ${PN}-udev python3-cryptography python3-prometheus-client kernel-module-cm-dma kernel-module-cm-icap kernel-module-cm-overlay"
+RRECOMMENDS:${PN}:append:class-target = " ${PN}-udev python3-cryptography kernel-module-cm-dma kernel-module-cm-icap kernel-module-cm-overlay"
 
 BBCLASSEXTEND = "native"
