@@ -179,16 +179,6 @@ def test_the_command_line_shows_what_each_client_takes(manager: Manager, capsys:
         assert (told["account"], told["leases"]) == (f"uid:{os.getuid()}", 1)
 
 
-def test_what_clients_take_is_reported_on_request(manager: Manager, context: zmq.Context[Any]) -> None:
-    with manager.connected() as board:
-        assert works(board)
-        (found,) = [client for client in board.clients() if client.requests]
-        assert found.name.startswith("pid ")
-        assert found.connections >= 1
-        assert found.requests >= 2
-        assert board.status.clients == ()
-
-
 def test_subscribers_that_do_not_read_leave_a_bounded_number_of_frames_waiting(context: zmq.Context[Any]) -> None:
     """Each later one keeps other frames waiting: without a limit, 80 took 670 MiB. One that reads stays connected."""
     with served(settings="streams: {queue_mib: 2}\n") as (manager, _), manager.connected() as board:

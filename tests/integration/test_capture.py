@@ -8,7 +8,6 @@ import json
 import resource
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -175,17 +174,3 @@ def test_what_a_file_held_stays_until_a_frame_comes(name: str, manager: Manager,
     file.write_bytes(b"precious")
     assert main(["stream", "capture", "camra", str(file), "--runtime-dir", str(manager.runtime)]) == 1
     assert file.read_bytes() == b"precious"
-
-
-def test_a_program_behind_a_pipe_reads_frame_after_frame(board: cm.Board, manager: Manager) -> None:
-    frame = "np.frombuffer(sys.stdin.buffer.read(480 * 640), np.uint8)"
-    reader = f"import sys, numpy as np; print([{frame}.shape for _ in range(2)])"
-    with subprocess.Popen(
-        command(manager, "camera", "-", "--count", "2", "--format", "raw"), stdout=subprocess.PIPE
-    ) as capture:
-        read = subprocess.run(
-            [sys.executable, "-c", reader], stdin=capture.stdout, capture_output=True, text=True, check=True
-        )
-        assert capture.stdout is not None
-        capture.stdout.close()
-    assert read.stdout == "[(307200,), (307200,)]\n"

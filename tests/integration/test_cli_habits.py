@@ -343,17 +343,6 @@ def test_interrupts_of_several_names_are_watched_in_a_form_of_ones_own(manager: 
     assert second.startswith(f"frame_done={int(found[1]) + 1} at ")
 
 
-def test_what_people_look_for_first_is_there(board: cm.Board) -> None:
-    board.load("camera", "edge_detection")
-    assert {"default", "edge_detection"} <= set(board.modes)
-    assert board.regions["prr0"].module == "edge"
-    assert all(clock.wanted > 0 for clock in board.clocks.values())
-    text = str(board.status)
-    assert "camera/edge_detection, " in text.splitlines()[0]
-    assert "prr0 edge (" in text
-    assert len(text.splitlines()) <= 5
-
-
 def test_doctor_does_not_say_start_one_of_a_manager_that_hangs(
     manager: Manager, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -37,12 +37,6 @@ def test_the_design_is_generated_for_the_board_of_each_page(page: str, tmp_path:
     assert "loader: auto" in (out / "config/loop.yaml").read_text("utf-8")
 
 
-@pytest.mark.parametrize("page", PAGES)
-def test_each_page_says_that_it_has_not_run_and_where_to_report(page: str) -> None:
-    text = (REPOSITORY / f"docs/boards/{page}.md").read_text("utf-8")
-    assert "**Not yet run on silicon.** [The marks, and how to report a run.](README.md)" in text
-
-
 @pytest.mark.parametrize("page", ["README", *PAGES])
 def test_each_step_says_whether_it_was_proved_read_or_is_open(page: str) -> None:
     text = (REPOSITORY / f"docs/boards/{page}.md").read_text("utf-8").partition("## Sources")[0]

@@ -15,7 +15,6 @@ from pathlib import Path
 
 import pytest
 from manager_process import Manager, environment, until
-from manager_schemas import written
 
 import cm
 import cm.aio
@@ -195,28 +194,6 @@ def test_a_manager_that_is_stopped_while_its_board_starts_stops_the_board_too(ru
         served.communicate(timeout=120)  # the board has the same output open, too
         assert served.returncode == 0
     assert not (runtime / "run/board").exists()
-
-
-def test_what_was_learned_about_a_region_survives_a_killed_manager(runtime) -> None:  # type: ignore[no-untyped-def]
-    """A module that was built for the other region is refused, even as the first one after the restart."""
-    written(runtime, ("duo",))
-    with SimBoard([runtime / "duo.yaml"], root=runtime / "board") as sim:
-        arguments = ("--config", str(runtime / "duo.yaml"), "--root", str(sim.root), "--state-dir", str(runtime / "s"))
-        manager = Manager(runtime / "run", *arguments).start()
-        try:
-            with manager.connected() as board:
-                board.load("duo", "default")
-            manager.kill()
-            firmware = sim.root / "lib/firmware/cm/duo"
-            (firmware / "b0.bit").write_bytes((firmware / "b1.bit").read_bytes())
-            manager.start()
-            with manager.connected() as board:
-                assert board.mode == "default"
-                with pytest.raises(CmError, match="the region owns") as refused:
-                    board.load("duo", "other")
-                assert refused.value.code == "footprint_outside"
-        finally:
-            manager.stop()
 
 
 def test_a_manager_killed_at_any_instant_of_a_change_comes_back_to_a_whole_mode(own: Own) -> None:

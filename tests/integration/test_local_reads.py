@@ -22,7 +22,7 @@ from manager_process import CAMERA, Manager, environment, patient, served, stall
 
 import cm
 import cm.aio
-from cm.client.errors import BoardClosed, NoAnswer, RequestBusy, RequestFailed, RequestNotFound
+from cm.client.errors import NoAnswer, RequestBusy, RequestFailed, RequestNotFound
 from cm.simulation.software import Board as SimBoard
 from cm.wire import plane_packets as packets
 from cm.wire.plane_packets import DESCRIPTOR, Descriptor
@@ -286,21 +286,6 @@ def test_a_killed_client_leaves_nothing(board: cm.Board, manager: Manager) -> No
     assert board.registers["led"] >= 0
 
 
-def test_a_board_that_is_closed_by_another_thread_ends_its_reads(board: cm.Board, manager: Manager) -> None:
-    with manager.connected() as other:
-        local(manager, other)
-        closing = threading.Thread(target=other.close)
-        closing.start()
-
-        def read() -> None:
-            while True:
-                _ = other.registers["led"]
-
-        with pytest.raises(BoardClosed):
-            read()
-        closing.join()
-
-
 def test_threads_share_a_board(board: cm.Board, manager: Manager) -> None:
     board.registers.write({"led": 5, "scratch": 77})
     local(manager, board)
@@ -370,21 +355,6 @@ def test_a_signal_handler_reads_within_a_read(board: cm.Board, manager: Manager)
         while len(found) < 20:
             assert board.registers["led"] == 5
     assert set(found) == {77}
-
-
-def test_a_forked_child_reads_nothing_and_its_parent_goes_on(board: cm.Board, manager: Manager) -> None:
-    local(manager, board)
-    child = os.fork()
-    if child == 0:
-        status = 1
-        try:
-            _ = board.registers["led"]
-        except BoardClosed:
-            status = 0
-        finally:
-            os._exit(status)
-    assert os.waitpid(child, 0)[1] == 0
-    assert reads_without_requests(manager, lambda: board.registers["led"]) or local(manager, board)
 
 
 def test_a_manager_that_is_stopped_answers_no_read_and_one_that_goes_on_does(own: tuple[Manager, SimBoard]) -> None:

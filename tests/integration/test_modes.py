@@ -8,13 +8,10 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-import pytest
 from manager_process import Manager, patient, served, stalled, until
 from reference import sobel
 
 import cm
-from cm.client.errors import RequestBusy
-from cm.simulation.software import Board as SimBoard
 from cm.simulation.software.hardware.camera import shipped_photos
 
 
@@ -56,14 +53,3 @@ def test_interrupts_reach_every_client_while_another_holds_the_board(board: cm.B
             events = client.interrupts["frame_done"].events(timeout=60)
             counts = [next(events).count for _ in range(5)]
             assert counts == sorted(set(counts))
-
-
-def test_the_first_mode_need_not_name_an_empty_region(own: tuple[Manager, SimBoard]) -> None:
-    """Its registers answer for nobody yet; they get their defaults when a module comes."""
-    with own[0].connected() as board:
-        board.load("camera", "loopback")
-        assert board.mode == "loopback"
-        with pytest.raises(RequestBusy, match="unknown"):
-            _ = board.registers["focus"]
-        board.mode = "edge_detection"
-        assert board.registers["focus"] == 1

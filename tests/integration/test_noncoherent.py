@@ -34,7 +34,6 @@ board = cm.connect(runtime_dir=sys.argv[1], timeout=60)
 PICTURE = np.arange(480 * 640, dtype=np.uint32).astype(np.uint8).reshape(480, 640)
 def tell(**what): print(json.dumps(what))
 """
-SYNC_READ, SYNC_RW, SYNC_END = 1, 3, 4
 
 
 class Setup:

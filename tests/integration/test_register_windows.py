@@ -161,15 +161,6 @@ def test_a_change_that_fails_restores_what_a_window_wrote(edge: cm.Board, shared
 # ---- who may ---------------------------------------------------------------------------
 
 
-def test_what_cannot_be_mapped_is_refused_by_name(own: tuple[Manager, SimBoard]) -> None:
-    refused = {"edge": "module_absent", "nothing": "not_found", "static": "no_window", "prr1": "region_busy"}
-    with own[0].connected() as board:
-        assert {code(lambda n=name: board.registers.window(n)) for name in refused} == {"nothing_loaded"}  # type: ignore[misc]
-        board.load("camera", "default")
-        assert {name: code(lambda n=name: board.registers.window(n)) for name in refused} == refused  # type: ignore[misc]
-        assert windows(board) == []
-
-
 def test_a_lease_of_another_keeps_writers_off_and_takes_their_windows(edge: cm.Board, manager: Manager) -> None:
     with manager.connected() as other:
         with other.lease("region:prr0"):

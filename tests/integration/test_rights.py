@@ -229,7 +229,9 @@ def test_who_may_read_in_one_region_does_not_follow_a_stream_into_another() -> N
                 with manager.connected() as board:
                     board.load("moving", "near")
                     command = [sys.executable, "-c", LOOK, json.dumps([ALICE, GROUP, str(manager.runtime)])]
-                    looks = subprocess.Popen(command, env=environment(), stdout=subprocess.PIPE, text=True, cwd=REPOSITORY)
+                    looks = subprocess.Popen(
+                        command, env=environment(), stdout=subprocess.PIPE, text=True, cwd=REPOSITORY
+                    )
                     with looks, board.stream("camera", timeout=60) as stream:
                         assert looks.stdout is not None
                         assert looks.stdout.readline() == "ready\n"

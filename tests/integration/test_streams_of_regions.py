@@ -53,20 +53,6 @@ def test_what_a_manager_finds_at_its_start_has_the_streams_of_its_modules(own: t
         assert board.read("camera", timeout=30).shape == (480, 640, 3)
 
 
-def test_the_shipped_example_is_captured_whatever_modes_came_before(
-    board: cm.Board, manager: Manager, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    pytest.importorskip("PIL.Image")
-    place = ["--runtime-dir", str(manager.runtime)]
-    for command in (
-        ["mode", "colorise"],
-        ["mode", "loopback"],
-        ["stream", "capture", "camera", str(tmp_path / "x.png")],
-    ):
-        assert main([*command, *place]) == 0
-    assert "(480, 640, 3)" in capsys.readouterr().out
-
-
 @pytest.fixture
 def one_region(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[cm.Board]:
     (tmp_path / "sensor.yaml").write_text(ONE_REGION.replace("REGION", request.param))

@@ -364,6 +364,15 @@ def test_an_overlay_on_a_region_that_another_loads_is_refused_before_it_is_appli
     assert opened(tmp_path).overlay(by_overlay, Overlay("duo_extra"), [])
 
 
+def test_an_overlay_whose_firmware_name_is_only_a_suffix_is_refused(duo: Config, tmp_path: Path) -> None:
+    """As in koheron-sdk's issue 523."""
+    assert duo.source is not None
+    tree = fdt.overlay("/fpga-full", fdt.FdtNode("", {"firmware-name": b".bin\0"}))
+    (duo.source.parent / "pl.dtbo").write_bytes(fdt.pack(tree))
+    with pytest.raises(BadOverlay, match=r"\.bin"):
+        opened(tmp_path).overlay(duo, Overlay("pl"), [])
+
+
 def test_a_plan_says_whose_interrupt_an_overlay_would_ask_for(duo: Config, tmp_path: Path) -> None:
     def cells(*numbers: int) -> bytes:
         return b"".join(number.to_bytes(4, "big") for number in numbers)
