@@ -61,7 +61,7 @@ type Frame struct {
 
 func frame(info *pb.Frame, payload [][]byte, err error) (Frame, error) {
 	info, err = body(info, err)
-	if err == nil && (len(payload) == 0 || info.Compression == "" && info.Length != uint64(len(payload[0]))) {
+	if err == nil && (len(payload) == 0 || info.Length != uint64(len(payload[0]))) {
 		err = decoded(fmt.Errorf("frame %d of %s has not the %d bytes that it claims", info.Sequence, info.Stream, info.Length))
 	}
 	if err != nil {

@@ -336,7 +336,6 @@ class Board(Guarded):
         *,
         depth: int = 0,
         newest: bool = False,
-        compression: str = "",
         lease: str = "",
         copy: bool = False,
         raw: bool = False,
@@ -345,22 +344,20 @@ class Board(Guarded):
 
         On the manager's machine frames are not copied: arrays lie in DMA memory, `depth` of them (0: 4) may be
         held at a time, and go back when the last reference to them goes. `newest` skips frames that are followed by a
-        newer one. From elsewhere they come over ZeroMQ: `compression` "lz4" makes them smaller (it needs the
-        package lz4 at both ends), `newest` asks for each frame when it is read, and `depth` of them (0: 4) wait
-        here, beside those at the manager. `timeout` in seconds, None waits
-        for ever. `lease`: your lease's id, if a stream with back-pressure belongs to a region under a lease.
+        newer one. From elsewhere they come over ZeroMQ: `newest` asks for each frame when it is read, and `depth` of
+        them (0: 4) wait here, beside those at the manager. `timeout` in seconds, None waits for ever. `lease`: your
+        lease's id, if a stream with back-pressure belongs to a region under a lease.
         `copy`: use ZeroMQ on the manager's machine too, so that nobody else can access the frames (docs/security.md).
         Guests of a bridge request each frame (`newest`), in their own name.
         A stream with a `format` gives RGB, as copies unless it is `rgb`; `raw`: its bytes as they are.
         """
-        from cm.client.core.remote_stream import Wanted, check_compression
+        from cm.client.core.remote_stream import Wanted
         from cm.client.stream import LocalStream, NewestStream, RemoteStream  # imported here: they need numpy
 
         if self._place.data is not None and not copy:
-            check_compression(compression)
             wanted = Open(name, depth=depth, lease=self._leases.named(lease), raw=raw)
             return self._sockets.using(LocalStream(self._place.data, wanted, timeout, newest, owner=self))
-        published = Wanted(name, timeout, newest or bool(self._place.guest), compression, depth, raw)
+        published = Wanted(name, timeout, newest or bool(self._place.guest), depth, raw)
         if published.newest:
             return NewestStream(self, published, self._new_link)
         return RemoteStream(self, published)
@@ -456,7 +453,6 @@ class Board(Guarded):
         backpressure: bool | None = None,
         enable: bool | None = None,
         automatic: bool = False,
-        compression: str = "",
         force: bool = False,
         lease: str = "",
     ) -> StreamStatus:
@@ -464,13 +460,13 @@ class Board(Guarded):
 
         `rate`: frames handed on per second at most; infinity: all that come. `stride`: bytes from line to line.
         `enable`: start or stop it for all; `automatic`: it runs while a client uses it, as it does before any `enable`.
-        `compression` changes nothing, but is refused unless frames can be published that way. Raises RequestBusy while
-        it is in use, without `force`, and InvalidRequest for impossible settings; then nothing has changed.
+        Raises RequestBusy while it is in use, without `force`, and InvalidRequest for impossible settings; then nothing
+        has changed.
         """
         request = ConfigureStream(
             stream, calls.axes(stream, shape), dtype=dtype, slots=slots, direction=direction, rate=rate, stride=stride,
-            cyclic=cyclic, backpressure=backpressure, enable=enable, automatic=automatic, compression=compression,
-            force=force, lease=lease,
+            cyclic=cyclic, backpressure=backpressure, enable=enable, automatic=automatic, force=force,
+            lease=lease,
         )  # fmt: skip
         return self.ask(calls.configure_stream(request))
 

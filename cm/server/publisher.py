@@ -29,11 +29,10 @@ from cm.schema.model import ITEM_BYTES, Config
 from cm.server.interrupts import InterruptWatch
 from cm.server.settings.model import StreamSettings
 from cm.server.sockets import Loop
-from cm.server.streams.compression import Compressor, compressions
 from cm.server.streams.running import Streams
 from cm.server.streams.stream import Frame
 from cm.wire import encode, topics
-from cm.wire.messages.status import ErrorInfo, FrameInfo, Irq, RegValues, SensorStatus, Status
+from cm.wire.messages.status import ErrorInfo, Irq, RegValues, SensorStatus, Status
 from cm.wire.multipart import connection_of
 
 BYTES = int(StreamSettings().queue_mib * (1 << 20))  # of frames that wait for one subscriber, unless set otherwise
@@ -202,7 +201,6 @@ class Publisher:
         self._coming: list[tuple[Any, int]] = [(socket, int(zmq.POLLIN))]  # subscriptions that were not taken yet
         self._board = board or os.uname().nodename
         self._sender = XpubSender(loop, socket)
-        self._compressor = Compressor(loop, self._compressed)
         self._subscriptions = Subscriptions(end)
         self._overruns: Counter[str] = Counter()
         self._unread = UnreadFrames(limit, socket.sndhwm, end_stuck)
@@ -241,11 +239,7 @@ class Publisher:
 
     def wants_stream(self, name: str) -> bool:
         """Whether a stream's frames have a subscriber."""
-        return self._wants_compressed(name) or any(map(self.has_subscriber, _topics(name)))
-
-    def _wants_compressed(self, name: str) -> bool:
-        """Only if the topic is named: a subscription to everything does not mean every form of a stream."""
-        return self._subscriptions.covers(topics.LZ4_PREFIX + name.encode(), len(topics.LZ4_PREFIX))
+        return any(map(self.has_subscriber, _topics(name)))
 
     def overruns(self, stream: str) -> int:
         """How often a subscriber began to lose a stream's frames."""
@@ -313,26 +307,13 @@ class Publisher:
         """Publish a frame on every topic that has a subscriber; it is copied once."""
         name = frame.info.stream
         wanted = [topic for topic in _topics(name) if self.has_subscriber(topic)]
-        if wanted:
-            self._send_frame(name, wanted, frame.info, bytes(frame.data))
-        if self._wants_compressed(name) and compressions() and not self._compressor.offer(frame):
-            self._overruns[name] += 1
-
-    def _compressed(self, info: FrameInfo, data: bytes) -> None:
-        if self._wants_compressed(info.stream):
-            topic = topics.LZ4_PREFIX + info.stream.encode()
-            self._send_frame(info.stream, [topic], info, data)
-
-    def _send_frame(self, stream: str, wanted: Sequence[bytes], info: FrameInfo, data: bytes) -> None:
-        message, body = encode.encode_frame_info(info), zmq.Frame(data, track=True, copy=False)
+        if not wanted:
+            return
+        message, body = encode.encode_frame_info(frame.info), zmq.Frame(bytes(frame.data), track=True, copy=False)
         for topic in wanted:
             if not self._sender.send_frame([topic, message, body]):
-                self._overruns[stream] += 1
-        self._unread.add(body.tracker, len(data))
-
-    def close(self) -> None:
-        """End the thread that compresses."""
-        self._compressor.close()
+                self._overruns[name] += 1
+        self._unread.add(body.tracker, len(frame.data))
 
 
 class StatusPublisher:

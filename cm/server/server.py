@@ -227,7 +227,7 @@ class Server:
         self._service.stopping()
         users = (self._uploads.close, self._streams.end, self._turns.close, self._interrupts.close)
         watches = (self._sensors.close, self._leases.close, self._files.close, self._board.close)
-        board = (self._publisher.close, self._devices.lost, self._journal.close, self._sockets.close)
+        board = (self._devices.lost, self._journal.close, self._sockets.close)
         last = (self._authenticator.close, self._context.term, self._loop.close, self._locks.release)
         for end in (self._manager.stop, self._data_socket.close, self._close_windows, *users, *watches, *board, *last):
             try:

@@ -257,7 +257,7 @@ def decode_event(frames: Sequence[Frame]) -> Event:
     Raises InvalidRequest for a topic or message that is not one of the protocol.
     """
     topic = bytes(frames[0]) if frames else b""
-    entry = _EVENTS.get(b"cm_stream" if topic.startswith((topics.STREAM_PREFIX, topics.LZ4_PREFIX)) else topic)
+    entry = _EVENTS.get(b"cm_stream" if topic.startswith(topics.STREAM_PREFIX) else topic)
     if entry is None or len(frames) < 2:
         raise InvalidRequest(f"no event is published as {topic!r} with {len(frames)} frames")
     event: Event = entry[1](parsed(entry[0], bytes(frames[1])))

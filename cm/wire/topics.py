@@ -25,7 +25,6 @@ AUDIT = b"cm_audit"  # who changes what; published to those who name it
 TEXT_CONFIG = b"cm_config"  # the paper's spelling of cm_write_config
 DATA_READ = b"cm_data_read"  # the paper's spelling of cm_read_data
 STREAM_PREFIX = b"cm_stream/"  # one stream's frames: cm_stream/<name>
-LZ4_PREFIX = b"cm_lz4/"  # the same, compressed; a prefix of its own, as subscriptions match by prefix
 
 DEFAULT_PORT = 5560
 MAX_IPC_PATH = 107  # sun_path of unix(7), less its NUL

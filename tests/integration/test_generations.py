@@ -20,16 +20,13 @@ def listening() -> Iterator[Manager]:
         yield manager
 
 
-@pytest.fixture(params=["ipc", "tcp", "tcp-lz4"])
+@pytest.fixture(params=["ipc", "tcp"])
 def reading(listening: Manager, request: pytest.FixtureRequest) -> Iterator[tuple[cm.Board, Stream]]:
     """A board, and a stream of it by each of the ways."""
-    way, _, compression = request.param.partition("-")
-    if compression:
-        pytest.importorskip("lz4.frame")
-    endpoint = {"endpoint": listening.tcp()} if way == "tcp" else {"runtime_dir": listening.runtime}
+    endpoint = {"endpoint": listening.tcp()} if request.param == "tcp" else {"runtime_dir": listening.runtime}
     with cm.connect(timeout=30, **endpoint) as board:
         board.load("camera", "default", force=True)
-        with board.stream("camera", timeout=30, compression=compression) as stream:
+        with board.stream("camera", timeout=30) as stream:
             yield board, stream
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames over ZeroMQ: what may wait for a slow subscriber, the newest frame, compression."""
+"""Frames over ZeroMQ: what may wait for a slow subscriber, and the newest frame."""
 
 from __future__ import annotations
 
@@ -12,17 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 import zmq
-from manager_process import CAMERA, Manager, environment, served, until
+from manager_process import CAMERA, Manager, served, until
 
 import cm
-from cm.client.core import remote_stream as remote
-from cm.client.frame import Frame
-from cm.client.stream import NewestStream, RemoteStream, Stream
-from cm.errors import InvalidRequest, Timeout
+from cm.client.stream import NewestStream, RemoteStream
+from cm.errors import InvalidRequest
 from cm.schema import load
 from cm.server.publisher import mark
 from cm.wire import cm_pb2 as pb
-from cm.wire.encode import decode_event
 
 LARGE = 4 << 20
 
@@ -210,80 +207,3 @@ def test_the_newest_goes_on_after_a_change_of_mode(far: cm.Board) -> None:
         assert stream.read().shape == (480, 640, 3)
         far.mode = "default"
         assert stream.read().info.mode == "default"
-
-
-# ---- compression ---------------------------------------------------------------------------
-
-
-def test_lz4_frames_are_the_same_and_smaller(far: cm.Board, manager: Manager, context: zmq.Context) -> None:
-    far.load("camera", "loopback")
-    picture = np.repeat(np.arange(480, dtype=np.uint16).astype(np.uint8), 640).reshape(480, 640)
-    raw = context.socket(zmq.SUB)
-    raw.connect(f"ipc://{manager.runtime}/pub")
-    raw.subscribe(b"cm_lz4/from_pl")
-    with far.stream("from_pl", compression="lz4", timeout=60) as packed, far.stream("from_pl", timeout=60) as plain:
-        until(lambda: next(s for s in far.status.streams if s.name == "from_pl").open)
-        until(lambda: far.write("to_pl", picture) and raw.poll(100))
-        [frame] = until(lambda: _echoed(far, packed, picture))
-        assert (frame == picture).all()
-        assert frame.info.compression == "lz4"
-        [unpacked] = until(lambda: _echoed(far, plain, picture))
-        assert (unpacked == picture).all()
-        assert unpacked.info.compression == ""
-    topic, message, payload = raw.recv_multipart()
-    info = pb.Frame.FromString(message)
-    assert (topic, info.compression, info.length, tuple(info.shape)) == (b"cm_lz4/from_pl", "lz4", 307200, (480, 640))
-    assert len(payload) < info.length / 50
-
-
-def _echoed(far: cm.Board, stream: Stream, picture: np.ndarray) -> list[Frame]:
-    """The next frame of the loop, sent again if the manager did not know the subscription yet."""
-    try:
-        return [stream.read(0.2)]
-    except Timeout:
-        far.write("to_pl", picture)
-        return []
-
-
-def test_a_client_without_lz4_is_told_what_to_install(far: cm.Board, monkeypatch: pytest.MonkeyPatch) -> None:
-    def missing(_: str) -> None:
-        raise ModuleNotFoundError
-
-    monkeypatch.setattr(remote, "import_module", missing)
-    with pytest.raises(InvalidRequest, match="need the package lz4: pip install"):
-        far.stream("camera", compression="lz4", timeout=60)
-    with pytest.raises(InvalidRequest, match="'lz4'"):
-        far.stream("camera", compression="zip", timeout=60)
-
-
-def test_a_manager_without_lz4_refuses(tmp_path: Path) -> None:
-    """As if `python3-lz4` were not installed on the board: the module cannot be imported."""
-    hidden = "import sys, importlib.machinery as m\nfind = m.PathFinder.find_spec\n" + (
-        "m.PathFinder.find_spec = classmethod(lambda c, n, *a: None if n.split('.')[0] == 'lz4' else find(n, *a))\n"
-    )
-    (tmp_path / "sitecustomize.py").write_text(hidden)
-    env = environment()
-    env["PYTHONPATH"] = f"{tmp_path}:{env['PYTHONPATH']}"
-    with listening(env) as (manager, _), manager.connected() as board:
-        board.load("camera", "default")
-        board._place = replace(board._place, data=None)
-        with pytest.raises(InvalidRequest, match="python3-lz4") as caught:
-            board.stream("camera", compression="lz4", timeout=60).open()
-        assert caught.value.code == "unsupported"
-
-
-def test_a_subscription_to_everything_does_not_mean_compressed_frames(
-    board: cm.Board, manager: Manager, context: zmq.Context
-) -> None:
-    every = context.socket(zmq.SUB)
-    every.connect(f"ipc://{manager.runtime}/pub")
-    every.subscribe(b"")
-    seen: set[bytes] = set()
-    count = 0
-    while count < 20 or not {b"cm_read_data", b"cm_data_read", b"cm_stream/camera"} <= seen:
-        assert every.poll(60_000)
-        frames = every.recv_multipart()
-        seen.add(frames[0])
-        decode_event(frames)
-        count += 1
-    assert not [topic for topic in seen if topic.startswith(b"cm_lz4")]

@@ -33,7 +33,7 @@ export interface Frame {
 /** A description and the bytes beside it. Throws BadAnswer where they disagree. */
 export function frameOf(info: cm.IFrame, payload: Uint8Array): Frame {
   const dtype = info.dtype ?? "uint8";
-  if (!info.compression && count(info.length) !== payload.byteLength) {
+  if (count(info.length) !== payload.byteLength) {
     throw new BadAnswer(`frame ${count(info.sequence)} of ${info.stream} has not the ${count(info.length)} bytes that it claims`);
   }
   const bytes = payload.buffer.slice(payload.byteOffset, payload.byteOffset + payload.byteLength) as ArrayBuffer;

@@ -30,7 +30,7 @@ from cm.client.core.calls import Call
 from cm.client.core.events import StatusEvents
 from cm.client.core.flow_effects import DEFAULT, Flow, Limit, at_least, later, seconds, time_limit
 from cm.client.core.leases import HeldLeases
-from cm.client.core.remote_stream import Wanted, check_compression
+from cm.client.core.remote_stream import Wanted
 from cm.client.core.value_checks import mode_name
 from cm.client.errors import RequestFailed
 from cm.client.find_manager import Keys, find
@@ -302,7 +302,6 @@ class Board(Guarded):
         *,
         depth: int = 0,
         newest: bool = False,
-        compression: str = "",
         lease: str = "",
         copy: bool = False,
         raw: bool = False,
@@ -311,19 +310,17 @@ class Board(Guarded):
 
         On the manager's machine frames are not copied: arrays lie in DMA memory, `depth` of them (0: 4) may be
         held at a time, and go back when the last reference to them goes. `newest` skips frames that are followed by a
-        newer one. From elsewhere they come over ZeroMQ: `compression` "lz4" makes them smaller (it needs the
-        package lz4 at both ends), `newest` asks for each frame when it is read, and `depth` of them (0: 4) wait
-        here, beside those at the manager. `timeout` in seconds, None waits
-        for ever. `lease`: your lease's id, if a stream with back-pressure belongs to a region under a lease.
+        newer one. From elsewhere they come over ZeroMQ: `newest` asks for each frame when it is read, and `depth` of
+        them (0: 4) wait here, beside those at the manager. `timeout` in seconds, None waits for ever. `lease`: your
+        lease's id, if a stream with back-pressure belongs to a region under a lease.
         `copy`: use ZeroMQ on the manager's machine too, so that nobody else can access the frames (docs/security.md).
         Guests of a bridge request each frame (`newest`), in their own name.
         A stream with a `format` gives RGB, as copies unless it is `rgb`; `raw`: its bytes as they are.
         """
         if self._place.data is not None and not copy:
-            check_compression(compression)
             wanted = Open(name, depth=depth, lease=self._leases.named(lease), raw=raw)
             return self._sockets.using(AsyncLocalStream(self, self._place.data, wanted, timeout, newest))
-        published = Wanted(name, timeout, newest or bool(self._place.guest), compression, depth, raw)
+        published = Wanted(name, timeout, newest or bool(self._place.guest), depth, raw)
         return AsyncRemoteStream(self, published)
 
     def _check_open(self) -> None:
@@ -412,7 +409,6 @@ class Board(Guarded):
         backpressure: bool | None = None,
         enable: bool | None = None,
         automatic: bool = False,
-        compression: str = "",
         force: bool = False,
         lease: str = "",
     ) -> StreamStatus:
@@ -420,13 +416,13 @@ class Board(Guarded):
 
         `rate`: frames handed on per second at most; infinity: all that come. `stride`: bytes from line to line.
         `enable`: start or stop it for all; `automatic`: it runs while a client uses it, as it does before any `enable`.
-        `compression` changes nothing, but is refused unless frames can be published that way. Raises RequestBusy while
-        it is in use, without `force`, and InvalidRequest for impossible settings; then nothing has changed.
+        Raises RequestBusy while it is in use, without `force`, and InvalidRequest for impossible settings; then nothing
+        has changed.
         """
         request = ConfigureStream(
             stream, calls.axes(stream, shape), dtype=dtype, slots=slots, direction=direction, rate=rate, stride=stride,
-            cyclic=cyclic, backpressure=backpressure, enable=enable, automatic=automatic, compression=compression,
-            force=force, lease=lease,
+            cyclic=cyclic, backpressure=backpressure, enable=enable, automatic=automatic, force=force,
+            lease=lease,
         )  # fmt: skip
         return await self.ask(calls.configure_stream(request))
 

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from importlib import import_module
 from typing import Any, Protocol
 
 from cm.client.core import calls
@@ -43,31 +42,19 @@ class Wanted:
     name: str
     timeout: float | None
     newest: bool = False
-    compression: str = ""
     depth: int = 0  # frames that wait in our socket before newer ones are lost, 0: the usual number
     raw: bool = False  # pixels as they lie in memory, whatever the stream's format
 
     def __post_init__(self) -> None:
-        """Refuse impossible combinations. Raises InvalidRequest, also if a package is missing here."""
+        """Refuse impossible combinations. Raises InvalidRequest."""
         time_limit(self.timeout)
         if self.depth < 0:
             raise InvalidRequest(f"a stream of depth {self.depth}: frames that may wait are 1 or more")
-        if self.compression and self.newest:
-            raise InvalidRequest("newest=True requests each frame as it is, without compression: leave out one of them")
-        check_compression(self.compression)
-        if self.compression:
-            lz4_frame()
 
     @property
     def topic(self) -> bytes:
         """What to subscribe to."""
-        return (topics.LZ4_PREFIX if self.compression else topics.STREAM_PREFIX) + self.name.encode()
-
-
-def check_compression(name: str) -> None:
-    """Raise InvalidRequest for one that there is not."""
-    if name not in ("", "lz4"):
-        raise InvalidRequest(f"frames cannot be compressed with {name!r}; there is 'lz4'")
+        return topics.STREAM_PREFIX + self.name.encode()
 
 
 class Arrivals:
@@ -84,7 +71,7 @@ class Arrivals:
         info = decode_event(frames)
         if not isinstance(info, FrameInfo) or len(frames) != 3:
             raise InvalidRequest(f"{type(info).__name__} in {len(frames)} parts came on a stream's topic")
-        return self.count(frame_of(info, unpacked(info, frames[2]), self._raw))
+        return self.count(frame_of(info, frames[2], self._raw))
 
     def count(self, frame: Frame) -> Frame:
         """Note the frame's number, and on it what is missing before it, and why."""
@@ -96,33 +83,6 @@ class Arrivals:
         if lost or info.failed:
             frame._info = replace(info, failed=failed, lost=lost)
         return frame
-
-
-def unpacked(info: FrameInfo, payload: Any) -> Any:
-    """The bytes of a frame, decompressed if need be. Raises InvalidRequest."""
-    if not info.compression:
-        return payload
-    if info.compression != "lz4":
-        raise InvalidRequest(f"frame {info.sequence} of {info.stream!r} is compressed with {info.compression!r}")
-    lz4 = lz4_frame()
-    try:
-        unpacker = lz4.LZ4FrameDecompressor()
-        data = unpacker.decompress(bytes(payload), max_length=info.length + 1)  # no more than it claims to have
-    except (RuntimeError, EOFError, ValueError) as error:
-        raise InvalidRequest(f"frame {info.sequence} of {info.stream!r} is not an lz4 frame: {error}") from error
-    if len(data) != info.length:
-        raise InvalidRequest(f"frame {info.sequence} of {info.stream!r} has not the {info.length} bytes that it claims")
-    return data
-
-
-def lz4_frame() -> Any:
-    """The module lz4.frame. Raises InvalidRequest if it is not installed."""
-    try:
-        return import_module("lz4.frame")
-    except ModuleNotFoundError:
-        raise InvalidRequest(
-            "compressed frames need the package lz4: pip install lz4, or apt install python3-lz4"
-        ) from None
 
 
 def closed(name: str) -> InvalidRequest:
@@ -170,8 +130,7 @@ class PublishedReader:
         if self._closed:
             raise closed(self._wanted.name)
         if self._subscription is None:
-            # raises for an unknown stream, and for a compression that the manager does not have
-            yield Ask(calls.configure_stream(ConfigureStream(self._wanted.name, compression=self._wanted.compression)))
+            yield Ask(calls.configure_stream(ConfigureStream(self._wanted.name)))  # raises for an unknown stream
             self._subscription = self._subscribe(self._wanted.topic, self._wanted.depth or STREAM_HWM)
 
     def reading(self, timeout: Limit) -> Flow[Frame]:

@@ -32,7 +32,6 @@ from cm.server.sockets import Loop
 from cm.server.streams.channel_setup import changed, setup
 from cm.server.streams.client_memory import Allocations, Echoes, MemoryThread
 from cm.server.streams.client_process import Peer
-from cm.server.streams.compression import check_compression
 from cm.server.streams.data_socket import ConnectionRights
 from cm.server.streams.lifecycle import StreamLifecycle, StreamStopped, Users
 from cm.server.streams.machine import OPEN_PHASES, NoSlots, Step, StreamEvent, StreamPhase
@@ -498,7 +497,6 @@ class Streams:
         Raises UnknownStream, InvalidRequest, Busy; a change that the channel refuses, here or later, is undone.
         """
         stream = self.named(request.stream, None)
-        check_compression(request.compression)
         wanted = changed(stream, request)
         if wanted != stream:
             if not request.force and self._in_use(stream):

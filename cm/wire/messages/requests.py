@@ -148,8 +148,7 @@ class ConfigureStream:
 
     `rate`: frames handed on per second at most; infinity: all that come. `stride`: bytes from line to line.
     `enable`: start or stop it for all; `automatic`: it runs while a client uses it, as it does before any `enable`.
-    `compression` changes nothing, but is refused unless frames can be published that way. `force`: even if it is in
-    use.
+    `force`: even if it is in use.
     """
 
     stream: str
@@ -166,7 +165,6 @@ class ConfigureStream:
     backpressure: bool | None = None
     stride: int = 0
     automatic: bool = False
-    compression: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -557,7 +557,6 @@ class FrameInfo:
     dtype: str = "uint8"
     config_name: str = ""
     mode: str = ""
-    compression: str = ""
     offset: int = 0
     generation: int = 0  # of the registers, when the frame began; 0: not known
     format: str = ""  # of the payload's pixels, as in the runtime schema; empty: shape and dtype say all

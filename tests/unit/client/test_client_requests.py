@@ -174,11 +174,11 @@ ASKED: list[tuple[Callable[[Any], Any], rq.Request]] = [
     (
         lambda b: b.configure_stream(
             "to_pl", shape=[4, 5], dtype="uint16", slots=6, direction="mm2s", rate=7.0, stride=16, cyclic=True,
-            backpressure=False, enable=True, compression="lz4", force=True, lease="l",
+            backpressure=False, enable=True, force=True, lease="l",
         ),
         rq.ConfigureStream(
             "to_pl", (4, 5), dtype="uint16", slots=6, direction="mm2s", rate=7.0, cyclic=True, enable=True, force=True,
-            lease="l", backpressure=False, stride=16, compression="lz4",
+            lease="l", backpressure=False, stride=16,
         ),
     ),
     (lambda b: b.configure_stream("to_pl", automatic=True), rq.ConfigureStream("to_pl", automatic=True)),
@@ -484,9 +484,6 @@ def test_a_stream_asks_for_the_newest_frame_for_as_long_as_it_was_told(
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"compression": "zip"}, "cannot be compressed with 'zip'"),
-        ({"compression": "zip", "copy": True}, "cannot be compressed with 'zip'"),
-        ({"compression": "lz4", "copy": True, "newest": True}, "^newest=True requests .* leave out one of them$"),
         ({"depth": -1, "copy": True}, "a stream of depth -1"),
         ({"timeout": "5", "copy": True}, "a number of seconds, or None"),
     ],

@@ -17,7 +17,6 @@ from manager_process import patient, stalled, until
 
 from cm.server.rights.model import Access
 from cm.wire import plane_packets as packets
-from cm.wire import topics
 from cm.wire.encode import decode_reply, encode_request
 from cm.wire.messages import requests as rq
 from cm.wire.messages.requests import ConfigureStream
@@ -146,7 +145,6 @@ def test_written_frames_are_numbered_and_counted(flowing: Daemon) -> None:
         (rq.ReadData("from_p", 1.0), "unknown_stream", "did you mean 'from_pl'?"),
         (rq.DescribeData("from_p"), "unknown_stream", "did you mean 'from_pl'?"),
         (ConfigureStream("from_p", slots=3), "unknown_stream", "did you mean 'from_pl'?"),
-        (ConfigureStream("to_pl", compression="zip"), "invalid_request", "'zip'; there is 'lz4'"),
     ],
 )
 def test_impossible_requests_are_refused(loop: Daemon, request_: rq.Request, code: str, words: str) -> None:
@@ -240,19 +238,6 @@ def test_frames_that_a_subscriber_does_not_take_are_dropped_and_counted(camera: 
     until(lambda: camera.stream("camera").overruns)
     assert camera.stream("from_pl").overruns == 0
     lazy.close(linger=0)
-
-
-def test_frames_come_compressed_to_clients_that_ask(camera: Daemon) -> None:
-    lz4 = pytest.importorskip("lz4.frame")
-    assert camera.done(ConfigureStream("camera", compression="lz4")).name == "camera"
-    seen = Subscriber(camera, topics.LZ4_PREFIX + b"camera")
-    while True:
-        event, frames = seen.frames()
-        if isinstance(event, FrameInfo):
-            break
-    assert event.compression == "lz4"
-    assert len(lz4.decompress(frames[2])) == 480 * 640
-    seen.close()
 
 
 def test_a_subscriber_gets_the_frames_of_the_next_mode_in_their_shape(camera: Daemon) -> None:

@@ -31,9 +31,7 @@ def socket() -> Iterator[Any]:
 @pytest.fixture
 def publisher(socket: Any) -> Iterator[Publisher]:
     loop = Loop()
-    made = Publisher(loop, socket, "a board")
-    yield made
-    made.close()
+    yield Publisher(loop, socket, "a board")
     loop.close()
 
 
@@ -95,8 +93,8 @@ def test_registers_reach_a_subscriber_that_the_publisher_does_not_know_yet(socke
     ("topic", "streams"),
     [
         (b"", "camera other"), (b"cm_stream/", "camera other"), (b"cm_stream/cam", "camera"),
-        (b"cm_read_data", "camera other"), (b"cm_data_read", "camera other"), (b"cm_lz4/other", "other"),
-        (b"cm_lz4/", "camera other"), (b"cm_lz4", ""), (b"cm_status", ""), (b"cm_stream/camera2", ""),
+        (b"cm_read_data", "camera other"), (b"cm_data_read", "camera other"),
+        (b"cm_status", ""), (b"cm_stream/camera2", ""),
     ],
 )  # fmt: skip
 def test_a_stream_is_wanted_by_whom_its_frames_would_reach(

@@ -12,9 +12,8 @@ from cm.device import Direction as ChannelDirection
 from cm.device import DmaCaps, DmaInfo, DmaType
 from cm.errors import InvalidRequest
 from cm.schema.model import Direction, Stream
-from cm.server.streams import channel_setup, compression
+from cm.server.streams import channel_setup
 from cm.server.streams.channel_setup import changed, frame_bytes
-from cm.server.streams.compression import Unsupported
 from cm.wire.messages.requests import ConfigureStream
 
 READ = Stream("camera", "ch0", Direction.S2MM, shape=(480, 640))
@@ -25,26 +24,6 @@ BOTH = DmaCaps.CYCLIC | DmaCaps.VIDEO
 def channel(**given: Any) -> DmaInfo:
     usual = DmaInfo("ch0", ChannelDirection.S2MM, DmaType.AXIDMA, BOTH | DmaCaps.RESIDUE, 4, 1 << 26, 1, 0)
     return replace(usual, **given) if hasattr(usual, "__dataclass_fields__") else usual._replace(**given)
-
-
-@pytest.mark.parametrize(
-    ("wanted", "there", "error"),
-    [
-        ("", True, None), ("", False, None), ("lz4", True, None),
-        ("zip", True, (InvalidRequest, "frames cannot be compressed with 'zip'; there is 'lz4'")),
-        ("lz4", False, (Unsupported, "machine has no package lz4 .apt install python3-lz4, or pip install lz4.$")),
-    ],
-)  # fmt: skip
-def test_frames_are_compressed_by_what_there_is(
-    monkeypatch: pytest.MonkeyPatch, wanted: str, there: bool, error: Any
-) -> None:
-    monkeypatch.setattr(compression, "find_spec", lambda name: name if there and name == "lz4" else None)
-    assert compression.compressions() == (("lz4",) if there else ())
-    if error is None:
-        compression.check_compression(wanted)
-    else:
-        with pytest.raises(error[0], match=error[1]):
-            compression.check_compression(wanted)
 
 
 # ---- requests --------------------------------------------------------------------------------------

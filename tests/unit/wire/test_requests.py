@@ -46,7 +46,7 @@ ALL: list[Any] = [
         force=True,
         lease="l",
     ),
-    rq.ConfigureStream("camera", backpressure=False, stride=8, automatic=True, compression="lz4"),
+    rq.ConfigureStream("camera", backpressure=False, stride=8, automatic=True),
     rq.ConfigureStream("camera", enable=False),
     rq.DefineMemory("taps", 0x1000, length=64, shape=(4, 4), dtype="uint32", access="ro", region="static", lease="l"),
     rq.DefineMemory("taps", 0, length=4),
