@@ -6,8 +6,6 @@ from __future__ import annotations
 import argparse
 import json
 import re
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -210,18 +208,3 @@ def test_an_error_is_red_where_colours_are_wanted_and_plain_in_a_pipe(
     monkeypatch.delenv("FORCE_COLOR")
     assert main(line) == 1
     assert "\x1b" not in capsys.readouterr().err
-
-
-# ---- starting ------------------------------------------------------------------------------
-
-
-def modules(code: str) -> int:
-    """How many modules Python has imported after some code."""
-    command = [sys.executable, "-c", f"import sys\n{code}\nprint(len(sys.modules), file=sys.stderr)"]
-    ran = subprocess.run(command, capture_output=True, text=True, check=True)
-    return int(ran.stderr.splitlines()[-1])
-
-
-def test_the_help_costs_few_modules_beyond_argparse() -> None:
-    code = "from cm.cli.main import main\ntry: main(['--help'])\nexcept SystemExit: pass"
-    assert modules(code) - modules("import argparse, difflib, signal") <= 26

@@ -4,12 +4,9 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
 import errno
 import os
-import socket
 import subprocess
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -22,7 +19,6 @@ from cm import child
 from cm.cli.connection import connected
 from cm.cli.main import main
 from cm.client.errors import NoAnswer
-from cm.errors import InvalidRequest
 from cm.home import cache_home, state_home
 from cm.simulation.software.errors import SimError
 from cm.simulation.software.transport.root import Root
@@ -32,15 +28,6 @@ def said(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     """What a refused command prints on stderr."""
     assert main(words) == 1
     return capsys.readouterr().err
-
-
-def test_a_host_without_tcp_is_no_folder_that_lacks_a_manager(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert "a manager on another machine is tcp://kria.local" in said(capsys, "status", "--connect", "kria.local")
-    (tmp_path / "run").mkdir()
-    assert "no configuration manager serves run" in said(capsys, "status", "--connect", "run")
 
 
 def test_a_leading_zero_is_not_taken_for_the_name_of_a_value(capsys: pytest.CaptureFixture[str]) -> None:
@@ -74,46 +61,6 @@ def test_a_configuration_without_earlier_versions_is_no_silence(
     assert "no earlier version 7 of configuration vision" in said(
         capsys, "config", "rollback", "vision", "--to", "7", "--out", str(tmp_path)
     )
-
-
-@pytest.mark.parametrize("host", ["ü.invalid", "a b", "kria.local/x", "*", "", "[::1", "a#b", ".."])
-def test_what_can_be_no_host_is_refused_at_once(capsys: pytest.CaptureFixture[str], host: str) -> None:
-    told = said(capsys, "status", "--connect", f"tcp://{host}:5560")
-    assert "is not tcp://host[:port]" in told
-    assert told.count("\n") == 1
-
-
-def test_a_host_that_does_not_resolve_is_more_than_no_answer(capsys: pytest.CaptureFixture[str]) -> None:
-    told = said(capsys, "status", "--connect", "tcp://nohost.invalid:5555")
-    assert "no answer from a configuration manager at tcp://nohost.invalid:5557" in told
-    assert "the name 'nohost.invalid' does not resolve (" in told
-
-
-def test_an_empty_endpoint_is_not_this_machines_manager() -> None:
-    with pytest.raises(InvalidRequest, match="endpoint '': it is tcp://host"):
-        cm.connect("")
-
-
-def test_a_host_that_refuses_is_more_than_no_answer(capsys: pytest.CaptureFixture[str]) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-    told = said(capsys, "status", "--connect", f"tcp://127.0.0.1:{min(port, 65533)}")
-    assert f"nothing listens on port {min(port, 65533)} there" in told
-
-
-async def _over_asyncio(folder: Path) -> None:
-    await cm.aio.connect(folder, timeout=0.1)
-
-
-@pytest.mark.parametrize(
-    "connect", [lambda folder: cm.connect(folder, timeout=0.1), lambda folder: asyncio.run(_over_asyncio(folder))]
-)
-def test_a_socket_that_a_killed_manager_left_is_told_from_one_that_hangs(connect: Callable[[Path], object]) -> None:
-    with short_folder() as folder:
-        with socket.socket(socket.AF_UNIX) as left:
-            left.bind(str(folder / "req"))
-        with pytest.raises(NoAnswer, match="nobody serves that socket any more, the manager was killed"):
-            connect(folder)
 
 
 def test_a_silent_folder_is_not_put_down_to_a_host_that_was_not_asked(monkeypatch: pytest.MonkeyPatch) -> None:

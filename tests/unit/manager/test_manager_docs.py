@@ -75,18 +75,3 @@ def test_every_kind_of_step_is_described() -> None:
     assert {step.kind for step in Step.__args__} == set(
         re.findall(r"^\| [a-z ]+ \| `([a-z_]+)` \|", table, re.MULTILINE)
     )
-
-
-def test_the_protocol_lists_every_kind_of_step() -> None:
-    proto = (ROOT / "cm/wire/cm.proto").read_text(encoding="utf-8")
-    comment = proto.split("string target_mode = 3;")[1].split("string step = 4;")[0].split(": PlanStep")[0]
-    assert set(re.findall(r"[a-z_]+", comment)) == {step.kind for step in Step.__args__}
-
-
-def test_the_page_colours_kinds_of_steps_that_there_are() -> None:
-    style = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "cm/web/static").glob("*.css"))
-    coloured = re.findall(r'\[data-step(\^?)="([a-z_]+)"\]', style)
-    assert coloured
-    kinds = {step.kind for step in Step.__args__}
-    unknown = [word for start, word in coloured if not any(k.startswith(word) if start else k == word for k in kinds)]
-    assert unknown == []

@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 
 from cm import child
-from cm.simulation.software import Board
 
 HOSTILE = "import os; os.write(2, b'hostile\\n'); os._exit(66)\n"
 
@@ -41,11 +40,6 @@ def test_a_child_runs_ours(trap: Path, safe_path: str) -> None:
     done = run(child.command("cm.cli.main", "--version"), PYTHONSAFEPATH=safe_path)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.startswith("cm ")
-
-
-def test_a_simulated_board_starts_in_any_folder(trap: Path) -> None:
-    with Board(arguments=["--hold", "0", "--rate", "0"]) as board:
-        assert board.control.state()["pid"] == board.pid
 
 
 def test_a_manager_and_its_simulated_board_start_in_any_folder(trap: Path, tmp_path_factory) -> None:
