@@ -65,7 +65,7 @@ SECTIONS = {
         },
     ),
 }
-WORDS = {"string": "text", "integer": "integer", "number": "number", "boolean": "boolean", "null": "nothing"}
+WORDS = {"string": "text", "integer": "integer", "number": "number", "boolean": "boolean", "null": "null"}
 
 
 def page(name: str) -> str:

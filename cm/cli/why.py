@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm why``: how a board came to be as it is, or as a record has it."""
+"""``cm why``: why a board, or one in a record, is in its state."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
     """Describe the command."""
     parser.description = (
         "Say why the board is as it is: who asked for what it holds and when, how long that took, what failed, who "
-        "wrote a register. What is not recorded is called not known. With a record of `cm record`, or a time within "
-        "it, the same of then."
+        "wrote a register. What was not recorded is \"not known\". With a record of `cm record`, say this of its end, or of "
+        "a time within it."
     )
     subject = parser.add_argument(
         "subject",
