@@ -23,7 +23,7 @@ def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     keys.add_argument("folder", type=Path, metavar="DIR", help="folder of the fleet's authority; keep it safe")
     kinds = keys.add_subparsers(dest="kind", metavar="WHOSE", required=True)
     router = kinds.add_parser(
-        "router", help="begin with this: make the authority, and the router's file; later, make its certificate anew"
+        "router", help="begin with this: make the authority, and the router's file; later, renew its certificate"
     )
     router.add_argument(
         "--host",
