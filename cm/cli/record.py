@@ -207,11 +207,11 @@ def plot(args: argparse.Namespace) -> int:
 def recorder_module() -> None:
     """Raise NotInstalled where the library is absent that writes records."""
     try:
-        import foxglove  # noqa: F401
+        import mcap  # noqa: F401
     except ModuleNotFoundError as error:
-        if error.name != "foxglove":
+        if error.name != "mcap":
             raise
-        raise NotInstalled(f"cm record needs foxglove-sdk: {installing('record')}") from None
+        raise NotInstalled(f"cm record needs mcap: {installing('record')}") from None
 
 
 def _tell(text: str) -> None:

@@ -14,7 +14,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import foxglove
 import numpy as np
 import yaml
 
@@ -24,6 +23,7 @@ from cm.networks.rmw_zenoh import cdr
 from cm.networks.rmw_zenoh.interfaces import definition
 from cm.networks.ros import messages
 from cm.networks.ros.transport import EVENTS, Closing, Qos, Values
+from cm.recording.file import Channel, Data, Schema
 from cm.recording.layout import Opened
 from cm.recording.record import Limits, Message, Record
 from cm.wire.records import Gap
@@ -62,12 +62,12 @@ class RecordingTransport:
         self._note("/diagnostics", _DIAGNOSTICS, EVENTS, self._last)
         return _channel(record, "/diagnostics", _DIAGNOSTICS, EVENTS), data
 
-    def write(self, topic: str, kind: str, quality: Qos, data: bytes) -> None:
+    def write(self, topic: str, kind: str, quality: Qos, data: Data) -> None:
         """A message, at the time of now, as ros2 bag has them."""
         now = time.time_ns()
         channel = _channel(self.record, topic, kind, quality)
         self._note(topic, kind, quality, now)
-        if quality.latched:
+        if quality.latched and isinstance(data, bytes):
             with self._lock:
                 self._latched[topic] = channel, data
         self.record.log(channel, data, now)
@@ -140,13 +140,13 @@ class RecordingTransport:
         """Nobody asks a record."""
 
 
-def _channel(record: Record, topic: str, kind: str, quality: Qos) -> foxglove.Channel:
+def _channel(record: Record, topic: str, kind: str, quality: Qos) -> Channel:
     return record.channels.of(topic, _schema(kind), "cdr", offered_qos_profiles=_offered(quality))
 
 
 @cache
-def _schema(kind: str) -> foxglove.Schema:
-    return foxglove.Schema(name=kind, encoding="ros2msg", data=definition(kind).encode())
+def _schema(kind: str) -> Schema:
+    return Schema(kind, "ros2msg", definition(kind).encode())
 
 
 class _Nothing:
@@ -165,10 +165,10 @@ class _Publisher:
         self._transport.write(self._topic, self._kind, self._quality, bytes(cdr.encode(self._kind, values)))
 
     def write_frame(self, head: Values, frame: FrameRecord) -> None:
-        """One whose last field is the frame's bytes, which are copied once."""
+        """One whose last field is the frame's bytes, which are written from where they lie."""
         data: Any = np.ascontiguousarray(frame.data)
         begin = cdr.head(self._kind, head, data.nbytes)
-        self._transport.write(self._topic, self._kind, self._quality, b"".join((begin, data.data.cast("B"))))
+        self._transport.write(self._topic, self._kind, self._quality, (bytes(begin), data.data.cast("B")))
 
     def listeners(self) -> int:
         """1 where the frames are wanted: a stream runs for as long as its topic has listeners."""

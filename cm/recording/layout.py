@@ -3,7 +3,7 @@
 
 **Files.** A record is one MCAP file, or several that follow each other: `files_of` gives them in order. It has MCAP's
 profile "" and no compression. Chunks have CRCs, and each is whole on disk about a second after its last message. A file
-whose recorder was killed, or whose disk was full, has no summary: read it from the front
+whose recorder was killed has no summary, nor has one whose disk had no room for that: read it from the front
 (``NonSeekingReader(f, validate_crcs=True)``), until an error says that its end is missing.
 
 **Time.** `log_time` and `publish_time` of a message are the *time of the record*: CLOCK_MONOTONIC of the manager's

@@ -1,21 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Data of frames as messages: pictures as foxglove.RawImage, which Foxglove shows, all others as cm.FrameData.
 
-The bytes are the last field, so they are copied once, behind what is encoded of the others.
+The bytes are the last field, so they are written from where they lie, behind what is encoded of the others.
 """
 
 from __future__ import annotations
 
-from typing import Any
-
-from foxglove.messages import RawImage, Timestamp
-
 from cm.frozen import dataclass
+from cm.recording.file import Schema
 from cm.schema.pictures import implied_encoding
 from cm.wire.messages.status import FrameInfo
-from cm.wire.records import begin_bytes
+from cm.wire.records import RAW_IMAGE, begin_bytes, encode_raw_image, raw_image_set
 
-SCHEMA = RawImage.get_schema()
+SCHEMA = Schema(RAW_IMAGE, "protobuf", raw_image_set())
 _DATA_OF_IMAGE, _DATA = 6, 1  # numbers of the fields
 _KNOWN = ("bgr8", "bgra8", "mono8", "mono16", "rgb8", "rgba8")  # of those that ours have, to Foxglove
 _FORMATS = {"": None, "rgb": "rgb8", "bgr": "bgr8", "yuv422": "uyvy", "rbg": ""}
@@ -45,18 +42,7 @@ def head_of(info: FrameInfo, length: int, time_ns: int) -> Head:
     rows = info.shape[0] if encoding else 0
     if not rows or length % rows:
         return Head(begin_bytes(_DATA, length), False)
-    seconds, rest = divmod(time_ns, 10**9)
-    image = RawImage(
-        timestamp=Timestamp(sec=seconds, nsec=rest),
-        frame_id=info.stream,
-        width=info.shape[1],
-        height=rows,
-        encoding=encoding,
-        step=length // rows,
+    image = encode_raw_image(
+        time_ns, frame_id=info.stream, width=info.shape[1], height=rows, encoding=encoding, step=length // rows
     )
-    return Head(image.encode() + begin_bytes(_DATA_OF_IMAGE, length), True)
-
-
-def message(head: Head, data: Any) -> bytes:
-    """The message: head and bytes (anything with a buffer in one piece)."""
-    return b"".join((head.data, data))
+    return Head(image + begin_bytes(_DATA_OF_IMAGE, length), True)

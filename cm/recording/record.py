@@ -10,11 +10,9 @@ import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-import foxglove
-
 from cm.errors import InvalidRequest, sentence
 from cm.frozen import dataclass, replace
-from cm.recording.file import Channels, RecordFile
+from cm.recording.file import Channel, Channels, Data, RecordFile, Schema
 from cm.recording.layout import DATA, FRAME, GAP, SCHEMAS, Opened, file_name, files_of, is_folder
 from cm.wire.records import Gap, descriptor_set, encode_gap
 
@@ -23,7 +21,7 @@ _ROOM = 32 << 20  # bytes that a full disk has free again before a record goes o
 _AGAIN = 10.0  # seconds before a disk with another error is tried again
 _PARTS = 8  # files of a ring; the oldest goes when the others hold what is wanted
 
-Message = tuple[foxglove.Channel, bytes]
+Message = tuple[Channel, bytes]
 
 
 def as_protobuf(record: Record, gap: Gap) -> Message:
@@ -84,10 +82,7 @@ class Record:
         self._now, self._state, self._told = now, state, told
         self._gap, self._profile = gap, profile
         described = descriptor_set()
-        self._schemas = {
-            name: foxglove.Schema(name=f"cm.{name}", encoding="protobuf", data=described)
-            for name in (*SCHEMAS.values(), FRAME, DATA)
-        }
+        self._schemas = {name: Schema(f"cm.{name}", "protobuf", described) for name in (*SCHEMAS.values(), FRAME, DATA)}
         self._lock = threading.RLock()
         self._file: RecordFile | None = None
         self._lost: tuple[str, int, int, int] | None = None  # cause, since when, messages, bytes
@@ -109,7 +104,7 @@ class Record:
             raise InvalidRequest(f"{self._place} has a record already: name another folder, or remove it")
         return (int(last.stem), last.stat().st_mtime_ns) if last is not None else (0, 0)
 
-    def channel(self, topic: str, schema: str = "") -> foxglove.Channel:
+    def channel(self, topic: str, schema: str = "") -> Channel:
         """The channel of a topic with messages of `cm.proto`."""
         with self._lock:
             return self.channels.of(topic, self._schemas[schema or SCHEMAS[topic]])
@@ -121,11 +116,11 @@ class Record:
 
     # ---- what is written -----------------------------------------------------------------
 
-    def log(self, channel: foxglove.Channel, data: bytes, time_ns: int) -> None:
-        """A message, at a time of the record."""
+    def log(self, channel: Channel, data: Data, time_ns: int) -> None:
+        """A message, at a time of the record. Raises ValueError for what is no time."""
         with self._lock:
             if self._file is None:
-                self._miss(time_ns, 1, len(data))
+                self._miss(time_ns, 1, sum(map(len, data)) if isinstance(data, tuple) else len(data))
                 return
             self._file.log(channel, data, time_ns)
             self._look()
@@ -175,7 +170,7 @@ class Record:
         self._number += 1
         path = file_name(self._place, self._number)
         try:
-            self._file = RecordFile(path, self.channels, replace(self._opened, number=self._number), self._profile)
+            self._file = RecordFile(path, replace(self._opened, number=self._number), self._profile)
         except FileExistsError:
             raise InvalidRequest(f"{path} is there already: name another file, or remove it") from None
         self._end = time.monotonic() + self._limits.file_seconds if self._limits.file_seconds else 0.0

@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-from google.protobuf import descriptor_pool, message_factory
-from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf import descriptor_pool, message_factory, timestamp_pb2
+from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet
 from google.protobuf.message import DecodeError
 
 from cm.errors import InvalidRequest
@@ -50,6 +50,37 @@ def begin_bytes(number: int, length: int) -> bytes:
         length >>= 7
     out.append(length)
     return bytes(out)
+
+
+# ---- pictures that Foxglove shows ------------------------------------------------------------
+
+RAW_IMAGE = "foxglove.RawImage"
+_FIELDS = (("width", 2), ("height", 3), ("encoding", 4), ("step", 5), ("data", 6), ("frame_id", 7))
+
+
+@lru_cache(1)
+def raw_image_set() -> bytes:
+    """The schema of `RAW_IMAGE`, as Foxglove's own recorders describe it."""
+    types = {"encoding": FieldDescriptorProto.TYPE_STRING, "data": FieldDescriptorProto.TYPE_BYTES,
+             "frame_id": FieldDescriptorProto.TYPE_STRING}  # fmt: skip
+    image = FileDescriptorProto(name="foxglove/RawImage.proto", package="foxglove", syntax="proto3")
+    image.dependency.append(timestamp_pb2.DESCRIPTOR.name)
+    message = image.message_type.add(name="RawImage")
+    stamp = FieldDescriptorProto.TYPE_MESSAGE
+    message.field.add(name="timestamp", number=1, label=1, type=stamp, type_name=".google.protobuf.Timestamp")
+    for name, number in _FIELDS:
+        message.field.add(name=name, number=number, label=1, type=types.get(name, FieldDescriptorProto.TYPE_FIXED32))
+    described = FileDescriptorSet()
+    timestamp_pb2.DESCRIPTOR.CopyToProto(described.file.add())
+    described.file.append(image)
+    return described.SerializeToString()
+
+
+def encode_raw_image(time_ns: int, **fields: Any) -> bytes:
+    """A picture, all of it or all but its data; the fields are named as Foxglove does."""
+    image = _kind(RAW_IMAGE, raw_image_set())(**fields)
+    image.timestamp.seconds, image.timestamp.nanos = divmod(time_ns, 10**9)
+    return bytes(image.SerializeToString())
 
 
 # ---- read ------------------------------------------------------------------------------------

@@ -26,7 +26,6 @@ from cm.tools.replay.check import check
 from cm.tools.replay.player import Player
 from cm.tools.replay.script import Script, read_script
 
-pytest.importorskip("foxglove", reason="needs the extra [record]")
 pytest.importorskip("mcap", reason="needs the extra [record]")
 
 pytestmark = [pytest.mark.networks, pytest.mark.timeout(280)]

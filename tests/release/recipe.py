@@ -36,7 +36,7 @@ OTHERS = {
 # In no layer of meta-openembedded, or of use to few: `cm` says what is missing where they are needed.
 OPTIONAL = {
     "pytest",  # of whoever runs tests
-    "argcomplete", "cocotb", "foxglove", "grpc_tools", "iceoryx2", "matplotlib", "mcap", "mcap_ros2", "PIL",
+    "argcomplete", "cocotb", "foxglove", "grpc_tools", "iceoryx2", "isal", "matplotlib", "mcap", "mcap_ros2", "PIL",
     "cryptography", "pyslang", "scipy",
     "systemrdl", "tree_sitter", "tree_sitter_vhdl", "xxhash", "zenoh", "setuptools",
 }  # fmt: skip

@@ -49,7 +49,6 @@ CASES = (
         "record",
         ("record_manager", "record_recorder", "record_p99", "record_frames", "record_frames_disk"),
         needs="foxglove",
-        extra="record",
     ),
     Case(
         "flood",

@@ -24,7 +24,6 @@ from cm.recording import layout
 from cm.wire import cm_pb2 as pb
 from cm.wire.messages.status import FrameInfo
 
-pytest.importorskip("foxglove", reason="needs the extra [record]")
 pytest.importorskip("mcap", reason="needs the extra [record]")
 small_mcap = pytest.importorskip("small_mcap")
 
@@ -56,7 +55,7 @@ def written(path: Path, messages: int = 400, chunk: int = 20) -> bytes:
         record.log(record.channel(IRQ), irq(number), number)
         if number % chunk == 0:
             info = FrameInfo("camera", number, number, 3072, (32, 32, 3))
-            data = pictures.message(pictures.head_of(info, 3072, number), source.randbytes(3072))
+            data = pictures.head_of(info, 3072, number).data, source.randbytes(3072)
             record.log(record.channels.of("cm_stream/camera", pictures.SCHEMA), data, number)
             record.tick()
     record.close()
@@ -182,10 +181,10 @@ def full_disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, int]]:
     disk = {"room": 1 << 40}
     write, statvfs = os.write, os.statvfs
 
-    def limited(descriptor: int, data: Any) -> int:
+    def limited(descriptor: int, parts: Any) -> int:
         if not disk["room"]:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        taken = write(descriptor, memoryview(data)[: disk["room"]])
+        taken = write(descriptor, b"".join(parts)[: disk["room"]])
         disk["room"] -= taken
         return taken
 
@@ -194,7 +193,7 @@ def full_disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, int]]:
         found[4] = disk["room"] // found[1]
         return os.statvfs_result(found)
 
-    monkeypatch.setattr("cm.recording.file.os.write", limited)
+    monkeypatch.setattr("cm.recording.file.os.writev", limited)
     monkeypatch.setattr("cm.recording.record.os.statvfs", free)
     return disk
 
@@ -284,7 +283,7 @@ def test_a_ring_on_a_full_disk_gives_its_oldest_file_for_the_newest(
     record.close()
     assert not oldest.exists()
     (gap,) = gaps(layout.files_of(ring)[-1])
-    assert (gap.cause, gap.messages) == ("disk_full", 1)
+    assert (gap.cause, gap.messages) == ("disk_full", 1 + 1)  # with the state that its file began with
 
 
 def test_a_record_is_split_and_its_files_follow_each_other(tmp_path: Path) -> None:
@@ -345,3 +344,77 @@ def test_the_doctor_finds_nothing_wrong(tmp_path: Path) -> None:
     _, target = repaired(data[: len(data) // 2], tmp_path)
     for path in (tmp_path / "whole.mcap", target):
         subprocess.run([doctor, "doctor", str(path)], check=True, capture_output=True)
+
+
+def test_a_frame_is_copied_by_the_kernel_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its memory is what is written, with all that waits, in one call; so a kill leaves all of a chunk or nothing."""
+    calls: list[list[memoryview]] = []
+    writev = os.writev
+    monkeypatch.setattr("cm.recording.file.os.writev", lambda fd, parts: calls.append(list(parts)) or writev(fd, parts))
+    frame = bytearray(1 << 20)
+    record = recorded(tmp_path / "a.mcap")
+    record.log(record.channel(IRQ), irq(1), 1)
+    calls.clear()
+    for number in range(2, 5):
+        record.log(record.channels.of("cm_stream/x", pictures.SCHEMA), (b"head", memoryview(frame)), number)
+        record.log(record.channel(IRQ), irq(number), number)
+    assert len(calls) == 3
+    for parts in calls:
+        assert [part.obj is frame for part in parts].count(True) == 1
+        assert sum(len(part) for part in parts if part.obj is not frame) < 20_000
+    record.close()
+    assert counts(tmp_path / "a.mcap") == [1, 2, 3, 4]
+
+
+def test_a_full_disk_ends_a_file_behind_its_last_whole_chunk(tmp_path: Path, full_disk: dict[str, int]) -> None:
+    """What did not fit wholly is taken away, so strict readers take the file without a repair."""
+    path = tmp_path / "full.mcap"
+    record = recorded(path)
+    record.log(record.channel(IRQ), irq(1), 1)
+    record.tick()
+    length = path.stat().st_size
+    full_disk["room"] = 100
+    for number in range(2, 400):
+        record.log(record.channel(IRQ), irq(number), number)
+    record.tick()
+    assert path.stat().st_size == length
+    assert repair(path, tmp_path / "good.mcap").lost == (
+        "it has no end: its recorder was killed, or its disk was full",
+    )
+    full_disk["room"] = 1 << 30
+    record.close()
+    assert counts(layout.files_of(path)[-1]) == []
+    (gap,) = gaps(layout.files_of(path)[-1])
+    assert (gap.cause, gap.messages) == ("disk_full", 398)
+
+
+def test_a_picture_is_the_one_that_foxglove_s_own_library_makes() -> None:
+    made = pytest.importorskip("foxglove.messages", reason="needs foxglove-sdk")
+    from google.protobuf.descriptor_pb2 import FileDescriptorSet
+
+    theirs = FileDescriptorSet.FromString(made.RawImage.get_schema().data)
+    ours = FileDescriptorSet.FromString(pictures.SCHEMA.data)
+    assert pictures.SCHEMA.name == made.RawImage.get_schema().name
+    fields = [
+        {(f.name, f.number, f.type, f.type_name) for f in s.file[-1].message_type[0].field} for s in (ours, theirs)
+    ]
+    assert fields[0] == fields[1]
+    info = FrameInfo("camera", 3, 7, 3072, (32, 32, 3))
+    head = pictures.head_of(info, 3072, 5_000_000_007)
+    image = made.RawImage(
+        timestamp=made.Timestamp(sec=5, nsec=7), frame_id="camera", width=32, height=32, encoding="rgb8", step=96,
+        data=bytes(3072),
+    )  # fmt: skip
+    kind = picture_class()
+    assert kind.FromString(head.data + bytes(3072)) == kind.FromString(image.encode())
+
+
+def picture_class() -> Any:
+    """The class of Foxglove's message, by their description."""
+    from google.protobuf import descriptor_pool, message_factory
+    from google.protobuf.descriptor_pb2 import FileDescriptorSet
+
+    pool = descriptor_pool.DescriptorPool()
+    for file in FileDescriptorSet.FromString(pictures.SCHEMA.data).file:
+        pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(pictures.SCHEMA.name))

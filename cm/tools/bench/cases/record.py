@@ -189,7 +189,7 @@ class _Mcap:
 
 
 class _Ours:
-    """A record, as the recorder writes frames: the message is made of memory each time."""
+    """A record, as the recorder writes frames: heads are made each time, bytes are written from where they lie."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -202,9 +202,7 @@ class _Ours:
         now = time.time_ns()
         info = FrameInfo("camera", 1, now, IMAGE, (1080, 1920 * 2), "uint8")
         head = pictures.head_of(info, IMAGE, now)
-        self._record.log(
-            self._record.channels.of("cm_stream/camera", pictures.SCHEMA), pictures.message(head, data), now
-        )
+        self._record.log(self._record.channels.of("cm_stream/camera", pictures.SCHEMA), (head.data, data), now)
         if time.monotonic() > self._due:
             self._due += 1
             self._record.tick()
