@@ -2,15 +2,16 @@
 """What a manager tells, into a record: a client like any other, that waits for its manager as long as it takes.
 
 Three kinds of threads, so that nobody waits for the disk: one takes publications off ZeroMQ as they come, one for each
-stream takes its frames, and the caller's of `run` writes. Only frames are written where they are taken: they lie in
+stream takes its frames, and the caller's of `run` writes what has come, some times a second: who wakes for each takes
+the processor from those that the manager has just answered. Only frames are written where they are taken: they lie in
 DMA memory, of which so many are lent, and the manager drops what a slow reader has no room for.
 """
 
 from __future__ import annotations
 
-import queue
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from hashlib import sha256
 from pathlib import Path
@@ -32,6 +33,7 @@ from cm.wire.messages.status import Audit, ConfigInfo, Irq, RegValue, RegValues,
 from cm.wire.records import Gap, encode_clock, encode_frame_seen
 
 _EACH = 1.0  # seconds between two clocks, between writing what waits, and between two tries to connect
+_TOGETHER = 0.1  # seconds in which publications gather before they are written
 _WAITING = 50_000  # publications that wait for the disk; more are lost, which is told
 _SAME = 10**9  # ns that the clocks of one machine may seem to be apart, as they are read one after the other
 _DEPTH = 8  # frames that may be lent to us at a time
@@ -72,7 +74,7 @@ class Recorder:
         """`told` gets sentences for people, `place` is a file or a folder (`cm.recording.layout`)."""
         self._connect, self._place, self._limits, self._wanted, self._told = connect, place, limits, wanted, told
         self._stopped = threading.Event()
-        self._came: queue.SimpleQueue[_Came | CmError] = queue.SimpleQueue()
+        self._came: deque[_Came | CmError] = deque()
         self._streams: dict[str, _StreamThread] = {}
         self._record: Record | None = None
         self._shift = 0  # this machine's CLOCK_MONOTONIC → time of the record
@@ -128,13 +130,13 @@ class Recorder:
             self._begin(board, board.status)
             due = time.monotonic() + _EACH
             while not self._stopped.is_set():
-                self._next(board, due - time.monotonic())
+                self._stopped.wait(max(0.0, min(_TOGETHER, due - time.monotonic())))
+                self._write(board)
                 if time.monotonic() >= due:
                     due += _EACH
                     self._tick()
                     self._know(board, board.status)
-            while not self._came.empty():  # what was told before the end is in the record
-                self._next(board, 0.0)
+            self._write(board)  # what was told before the end is in the record
         finally:
             for stream in self._streams.values():
                 stream.stop()
@@ -144,7 +146,7 @@ class Recorder:
             for stream in self._streams.values():
                 stream.join()
             self._streams.clear()
-            self._came = queue.SimpleQueue()
+            self._came = deque()
 
     def _take(self, subscription: Subscription, over: threading.Event) -> None:
         """Publications off ZeroMQ, in a thread of its own: they never wait in the manager for our disk."""
@@ -154,12 +156,12 @@ class Recorder:
                 frames = subscription.receive(_EACH / 4)
                 if frames is None:
                     continue
-                if came.qsize() < _WAITING:
-                    came.put((time.monotonic_ns(), frames))
+                if len(came) < _WAITING:
+                    came.append((time.monotonic_ns(), frames))
                 else:
                     self.overflown += 1
         except CmError as error:
-            came.put(error)
+            came.append(error)
 
     def _begin(self, board: Board, status: Status) -> None:
         """The manager is there, for the first time or again."""
@@ -254,15 +256,15 @@ class Recorder:
             self._gap("", self._now() - int(_EACH * 1e9), "too_slow", "the recorder was too slow", lost)
         self._record.tick()
 
-    def _next(self, board: Board, limit: float) -> None:
-        """Write the next publication, if one comes within `limit` seconds."""
-        try:
-            came = self._came.get(timeout=max(0.0, limit))
-        except queue.Empty:
-            return
-        if isinstance(came, CmError):
-            raise came
-        at, frames = came
+    def _write(self, board: Board) -> None:
+        """What has come. Raises CmError when the manager is gone."""
+        while self._came:
+            came = self._came.popleft()
+            if isinstance(came, CmError):
+                raise came
+            self._publication(board, *came)
+
+    def _publication(self, board: Board, at: int, frames: list[bytes]) -> None:
         event = decode_event(frames)
         time_ns = at + self._shift
         if isinstance(event, Irq):
@@ -330,7 +332,7 @@ class Recorder:
         if kept and data is not None:
             head = pictures.head_of(info, data.nbytes, time_ns)
             channel = record.channels.of(topic, pictures.SCHEMA) if head.picture else record.channel(topic, layout.DATA)
-            record.log(channel, pictures.message(head, data), time_ns)
+            record.log(channel, (head.data, data.data), time_ns)
 
 
 class _StreamThread:

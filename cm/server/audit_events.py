@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import lru_cache
 
 from cm.server.publisher import Publisher
 from cm.server.rights.admission import Gate
+from cm.server.rights.principal import Principal
 from cm.server.sender_order import Asked
 from cm.wire.encode import encode_audit
 from cm.wire.messages.status import Reply
@@ -29,11 +31,16 @@ class AuditEvents:
         None instead: it goes on, and is told again.
         """
         began_ns = time.monotonic_ns()
-        who = self._gate.principal(asked.connection)
+        by = _named(self._gate.principal(asked.connection))
 
         def tell(reply: Reply | None) -> None:
             ended_ns = time.monotonic_ns() if reply is not None else 0
-            by = str(who), who.account, who.pid or 0
             self.publisher.audit(encode_audit(asked.request, *by, (began_ns, ended_ns), reply))
 
         return tell
+
+
+@lru_cache(256)
+def _named(who: Principal) -> tuple[str, str, int]:
+    """As an audit names them."""
+    return str(who), who.account, who.pid or 0

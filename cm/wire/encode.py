@@ -20,6 +20,7 @@ from cm.wire.request_table import BY_KIND
 
 Frame = bytes | memoryview
 _M = TypeVar("_M", bound=Message)
+_REPEATED = 16  # writes of a request that is likely to come again
 
 
 def parsed(kind: type[_M], data: bytes) -> _M:
@@ -213,24 +214,32 @@ def encode_audit(
     request: rq.Request, client: str, account: str, pid: int, times: tuple[int, int], reply: st.Reply | None
 ) -> list[Frame]:
     """A request, and its reply where there is one → the frames published on ``cm_audit``."""
+    began_ns, ended_ns = times
+    told, body, error = pb.Audit(began_ns=began_ns, ended_ns=ended_ns), None, None
+    if reply is not None:
+        body, error = reply.body, reply.error
+    if isinstance(body, (st.RegValues, st.ChangeInfo)):
+        told.generation = body.generation
+    if isinstance(body, st.ChangeInfo):
+        told.change = body.number
+    if error is not None:
+        told.error.CopyFrom(protobuf_messages.ERROR.to_pb(error))
+    repeated = type(request) is rq.WriteReg and len(request.writes) <= _REPEATED
+    asked = (_asked_again if repeated else _asked)(request, client, account, pid)
+    return [topics.AUDIT, asked + told.SerializeToString()]
+
+
+def _asked(request: rq.Request, client: str, account: str, pid: int) -> bytes:
+    """Who asked for what: an Audit of that alone."""
     secret = "id" if isinstance(request, (rq.RenewLease, rq.ReleaseLease)) else "lease"
     hidden: dict[str, Any] = {secret: ""} if getattr(request, secret, "") else {}
     shown: Any = replace(request, **hidden)
     topic, message, *_ = encode_request(shown)
-    body = reply.body if reply is not None else None
-    audit = st.Audit(
-        type(request).__name__,
-        bytes(topic).decode(),
-        bytes(message),
-        client,
-        account,
-        pid,
-        *times,
-        error=reply.error if reply is not None else None,
-        generation=body.generation if isinstance(body, (st.RegValues, st.ChangeInfo)) else 0,
-        change=body.number if isinstance(body, st.ChangeInfo) else 0,
-    )
-    return [topics.AUDIT, protobuf_messages.AUDIT.to_pb(audit).SerializeToString()]
+    audit = st.Audit(type(request).__name__, bytes(topic).decode(), bytes(message), client, account, pid, 0)
+    return bytes(protobuf_messages.AUDIT.to_pb(audit).SerializeToString())
+
+
+_asked_again = lru_cache(64)(_asked)  # as decoded requests are kept
 
 
 def encode_frame_info(info: st.FrameInfo) -> bytes:

@@ -14,7 +14,9 @@ from pathlib import Path
 
 import pytest
 
+import cm
 from cm.tools.bench import compare, routes
+from cm.wire import topics
 
 HERE = Path(__file__).parent
 RECORDED, BASE = HERE / "counts.json", HERE / "BASE"
@@ -53,6 +55,33 @@ def test_no_route_costs_more_than_is_recorded() -> None:
     assert now.keys() == before.keys(), "other routes or figures than recorded: run this file as a script"
     grown = {name: f"{before[name]} -> {now[name]}" for name in now if now[name] > before[name] * allowed(name)}
     assert not grown, f"{grown}{WHY}"
+
+
+def test_a_recorder_costs_a_write_two_publications_and_a_handful_of_calls(tmp_path: Path) -> None:
+    """What a client is told of a write is made once; who asked, and in what words, is kept from the write before."""
+    many, wanted = 200, (topics.STATUS, topics.READ_REG, topics.IRQ, topics.AUDIT)  # as `cm record` subscribes
+    counts = routes.Counts.made(tmp_path / "manager")
+    words = (sys.executable, routes.__file__, "serve", str(tmp_path / "manager"))
+    with routes.manager(tmp_path, *words), cm.connect(str(tmp_path)) as board, cm.connect(str(tmp_path)) as recorder:
+        board.load("camera", mode="default")
+
+        def calls() -> float:
+            before = counts[routes.CALLS]
+            for number in range(many):
+                board.registers["led"] = number & 3
+            return (counts[routes.CALLS] - before) / many
+
+        calls()
+        alone = min(calls() for _ in range(3))
+        subscription = recorder.subscribe(*wanted, depth=10 * many)
+        assert subscription.receive(60.0)  # the status: from here on nothing is missed
+        calls()
+        beside = min(calls() for _ in range(3))
+        told = [subscription.receive(60.0) for _ in range(4 * many * 2)]
+        subscription.close()
+    kinds = [bytes(frames[0]) for frames in told if frames]
+    assert {kind: kinds.count(kind) for kind in set(kinds)} == {topics.READ_REG: 4 * many, topics.AUDIT: 4 * many}
+    assert beside - alone < 24, (alone, beside)  # a timer of the manager counts too
 
 
 def test_the_page_names_the_commit_that_was_counted() -> None:
