@@ -6,14 +6,18 @@ What is damaged (`cm.recording.salvage`) becomes a `Gap` of cause ``damaged``, a
 
 from __future__ import annotations
 
+from bisect import bisect_right
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from heapq import heappop, heappush
 from pathlib import Path
+from types import ModuleType
 from typing import Any, NamedTuple
 
 from cm.errors import InvalidRequest
 from cm.extras import installing
-from cm.recording.layout import GAP, METADATA, Opened, files_of, opened
+from cm.recording.layout import FRAME_PREFIX, GAP, METADATA, STREAM_PREFIX, Opened, files_of, opened
+from cm.wire.messages.status import FrameInfo
 from cm.wire.records import Gap, decode_recorded
 
 _HORIZON = 2_000_000_000  # nanoseconds by which a message may stand behind a later one
@@ -28,6 +32,16 @@ class Event(NamedTuple):
     value: Any
 
 
+class _Place(NamedTuple):
+    """Where a message is, so that it can be read again alone."""
+
+    time_ns: int
+    file: Path
+    at: int
+    channel: int
+    schema: Any
+
+
 def needs_mcap(error: ModuleNotFoundError) -> InvalidRequest:
     """What to say where the library is missing."""
     return InvalidRequest(f"records need the Python module {error.name}: {installing('record')}")
@@ -40,16 +54,18 @@ class Record:
         """Raises InvalidRequest for what is no record of ours."""
         self.files = files_of(path)
         self.problems: list[str] = []
+        self._salvage = _salvage()
+        self._places: dict[str, list[_Place]] = {}  # of frames and their data, by topic, in the order of their times
         self.opened = self._opened()
 
     def _opened(self) -> Opened:
         for file in self.files:
-            for record in _records(file, lambda _: None):
-                if type(record).__name__ == "Metadata" and record.name == METADATA:
-                    try:
-                        return opened(record.metadata)
-                    except InvalidRequest as error:
-                        raise InvalidRequest(f"{file}: {error}") from None
+            metadata = self._salvage.metadata_of(file, METADATA)
+            if metadata is not None:
+                try:
+                    return opened(metadata)
+                except InvalidRequest as error:
+                    raise InvalidRequest(f"{file}: {error}") from None
         raise InvalidRequest(f"{self.files[0]}: it is no record of cm record, or its beginning is lost")
 
     def events(self, wanted: Wanted = lambda _: True) -> Iterator[Event]:
@@ -64,22 +80,40 @@ class Record:
         while waiting:
             yield heappop(waiting)[2]
 
+    def frame(self, stream: str, until_ns: int) -> tuple[FrameInfo, bytes] | None:
+        """The last frame of a stream by then whose data are here, read by its place: `events` has been at the end."""
+        seen, kept = (self._places.get(prefix + stream, []) for prefix in (FRAME_PREFIX, STREAM_PREFIX))
+        for number in range(_behind(kept, until_ns) - 1, -1, -1):
+            place = kept[number]
+            about = _behind(seen, place.time_ns) - 1
+            if about >= 0 and seen[about].time_ns == place.time_ns:
+                info, data = self._read(seen[about]), self._read(place)
+                if info is not None and data is not None:
+                    return info.frame, data
+        return None
+
+    def _read(self, place: _Place) -> Any:
+        for message in self._salvage.messages_at(place.file, place.at):
+            if message.channel_id == place.channel and message.log_time == place.time_ns:
+                return decode_recorded(place.schema.name, place.schema.data, message.data)
+        return None
+
     def _unordered(self, wanted: Wanted) -> Iterator[Event]:
         self.problems.clear()
+        places: defaultdict[str, list[_Place]] = defaultdict(list)
         last = self.opened.started_ns
         for file in self.files:
             lost: list[str] = []
-            for record in _records(file, lost.append):
+            for message, channel, schema, at in self._salvage.messages(file, lost.append):
                 for text in lost:
                     yield self._gap(file, text, last)
                 lost.clear()
-                if type(record).__name__ != "Described":
-                    continue
-                message, channel, schema = record
                 if channel is None or schema is None:
                     yield self._gap(file, "the channel of a message is lost with an earlier chunk", last)
                     continue
                 last = max(last, message.log_time)
+                if channel.topic.startswith((FRAME_PREFIX, STREAM_PREFIX)):
+                    places[channel.topic].append(_Place(message.log_time, file, at, channel.id, schema))
                 if channel.topic != GAP and not wanted(channel.topic):
                     continue
                 try:
@@ -90,6 +124,9 @@ class Record:
                     yield Event(message.log_time, channel.topic, value)
             for text in lost:
                 yield self._gap(file, text, last)
+        for found in places.values():
+            found.sort(key=lambda place: place.time_ns)
+        self._places = dict(places)
 
     def _gap(self, file: Path, text: str, at: int) -> Event:
         sentence = f"{file.name}: {text}"
@@ -98,10 +135,15 @@ class Record:
         return Event(at, GAP, Gap("", at, at, cause="damaged", text=sentence))
 
 
-def _records(file: Path, lost: Callable[[str], object]) -> Iterator[Any]:
-    """What is whole of a file; `lost` is told in words what cannot be read."""
+def _behind(places: list[_Place], time_ns: int) -> int:
+    """How many are not later."""
+    return bisect_right(places, time_ns, key=lambda place: place.time_ns)
+
+
+def _salvage() -> ModuleType:
+    """What reads files; who asks a manager does without it."""
     try:
-        from cm.recording.salvage import described
+        from cm.recording import salvage
     except ModuleNotFoundError as error:
         raise needs_mcap(error) from None
-    return described(file, lost)
+    return salvage

@@ -43,6 +43,27 @@ class Described(NamedTuple):
     message: Message
     channel: Channel | None
     schema: Schema | None
+    at: int  # where in the file the record begins that it is in: its chunk, or itself
+
+
+def metadata_of(file: Path, name: str) -> dict[str, str] | None:
+    """The first metadata of this name; None if none are there. Raises InvalidRequest for what cannot be read."""
+    found = (r.metadata for r in described(file, lambda _: None) if isinstance(r, Metadata) and r.name == name)
+    return next(found, None)
+
+
+def messages(file: Path, lost: Lost) -> Iterator[Described]:
+    """What `described` finds of these."""
+    return (record for record in described(file, lost) if isinstance(record, Described))
+
+
+def messages_at(file: Path, at: int) -> list[Message]:
+    """Those of one record of a file that was read before, by `Described.at`."""
+    with file.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        found: list[Message] = []
+        with suppress(*_BROKEN):  # it has been damaged since
+            found.extend(record for record in _Walk(data, lambda _: None).one(at) if isinstance(record, Message))
+        return found
 
 
 def described(file: Path, lost: Lost) -> Iterator[Header | Metadata | Described]:
@@ -52,7 +73,7 @@ def described(file: Path, lost: Lost) -> Iterator[Header | Metadata | Described]
     """
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
-    for record in _records(file, lost):
+    for at, record in _records(file, lost):
         if isinstance(record, Schema):
             schemas[record.id] = record
         elif isinstance(record, Channel):
@@ -63,13 +84,13 @@ def described(file: Path, lost: Lost) -> Iterator[Header | Metadata | Described]
             channel = channels.get(record.channel_id)
             if channel is not None and channel.schema_id and channel.schema_id not in schemas:
                 channel = None
-            yield Described(record, channel, schemas.get(channel.schema_id) if channel is not None else None)
+            yield Described(record, channel, schemas.get(channel.schema_id) if channel is not None else None, at)
         else:
             yield record
 
 
-def _records(file: Path, lost: Lost) -> Iterator[Any]:
-    """Headers, metadata, schemas, channels and messages in their order; `lost` is told in words what is missing.
+def _records(file: Path, lost: Lost) -> Iterator[tuple[int, Any]]:
+    """Headers, metadata, schemas, channels and messages in their order, each with where it, or its chunk, begins.
 
     Raises InvalidRequest for a file that cannot be read.
     """
@@ -101,8 +122,13 @@ class _Walk:
         self._told = False
         self._chunks = False  # there was one: what holds messages is in chunks
 
-    def records(self) -> Iterator[Any]:
-        """All that are whole."""
+    def one(self, at: int) -> Iterator[Any]:
+        """What the record holds that begins here."""
+        end = self._end(at)
+        return iter(()) if end is None else self._parts(at, end)
+
+    def records(self) -> Iterator[tuple[int, Any]]:
+        """All that are whole, with where each, or its chunk, begins."""
         data, at = self._data, len(MCAP0_MAGIC)
         if data[:at] != MCAP0_MAGIC:
             self._lost("its first bytes are not those of an MCAP file")
@@ -121,7 +147,8 @@ class _Walk:
                 self._check_all(at)
                 return
             try:
-                yield from self._parts(at, end)
+                for record in self._parts(at, end):
+                    yield at, record
             except _BROKEN as error:
                 self._lost(f"the record at byte {at} is damaged, and nothing of it is shown ({_words(error)})")
             at = end

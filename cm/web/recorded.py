@@ -22,7 +22,6 @@ from cm.web.hub import Hub
 from cm.web.shown_streams import Watched, Watching
 from cm.wire.messages.json_values import plain
 from cm.wire.messages.status import FrameInfo, PastChange, StepTaken
-from cm.wire.records import FrameSeen
 
 _STEP = 50_000_000  # nanoseconds between two moments that are told apart
 
@@ -102,17 +101,8 @@ class RecordHub(Hub):
 
     def frame(self, stream: str) -> tuple[FrameInfo, bytes] | None:
         """The last frame of a stream by now whose data are in the record. Any thread."""
-        story, found, seen = self._shown, None, None
-        if story is None:
-            return None
-        for event in self._record.events(lambda topic: topic.endswith(f"/{stream}")):
-            if event.time_ns > story.at_ns:
-                break
-            if isinstance(event.value, FrameSeen):
-                seen = event.value.frame
-            elif isinstance(event.value, bytes) and seen is not None:
-                found = seen, event.value
-        return found
+        story = self._shown
+        return self._record.frame(stream, story.at_ns) if story is not None else None
 
 
 def _nobody() -> Any:

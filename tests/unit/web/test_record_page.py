@@ -16,6 +16,7 @@ from recording_support import BEGAN, write_record
 
 from cm.cli.main import main
 from cm.errors import InvalidRequest
+from cm.recording import salvage
 from cm.web.commands import NotAllowed
 from cm.web.recorded import RecordCommands, RecordedFrames, RecordHub
 from cm.web.shown_streams import Wanted
@@ -126,6 +127,38 @@ def test_a_stream_shows_the_last_frame_by_then(record: Path) -> None:
         assert b'"sequence": 1' in picture
         assert picture.endswith(b"\x00\x01\x02\x03")
         await frames.close()
+        task.cancel()
+
+    asyncio.run(look())
+
+
+def test_a_moment_s_frame_is_read_by_its_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However long the record is: the chunk of what is told of the frame, and that of its data."""
+    frames = [
+        event
+        for number in range(1, 101)
+        for event in (
+            (number / 10, "cm_frame/camera", seen(number)),
+            (number / 10, "cm_stream/camera", bytes([number] * 4)),
+        )
+    ]
+    lost = [event for event in frames if event[0] != 5.0 or event[1] != "cm_frame/camera"]
+    path = write_record(tmp_path / "long.mcap", [(0.0, "cm_status", status(1, "default")), *lost], finish=False)
+    chunks: list[object] = []
+    breakup = salvage.breakup_chunk
+
+    async def look() -> None:
+        hub, task = await opened(path)
+        monkeypatch.setattr(salvage, "breakup_chunk", lambda *a, **k: chunks.append(a) or breakup(*a, **k))
+        for seconds, sequence in ((3.04, 30), (9.99, 99), (0.1, 1), (5.05, 49), (100.0, 100)):
+            await hub.seek(ms(seconds) * 10**6)
+            chunks.clear()
+            found = hub.frame("camera")
+            assert found is not None
+            assert (found[0].sequence, found[1]) == (sequence, bytes([sequence] * 4))
+            assert len(chunks) == 2
+        await hub.seek(0)
+        assert hub.frame("camera") is None
         task.cancel()
 
     asyncio.run(look())
