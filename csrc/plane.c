@@ -10,6 +10,7 @@
 #include <string.h>
 #include <sys/epoll.h>
 #include <sys/eventfd.h>
+#include <sys/socket.h>
 #include <unistd.h>
 
 #include "plane_private.h"
@@ -213,6 +214,7 @@ static struct stream *new_stream(struct cm_plane *plane, struct cm_dma *dma,
 	stream->epoch = ++plane->last_epoch;
 	stream->dma = dma;
 	stream->setup = *setup;
+	stream->slots = setup->lent;
 	stream->cycling = -1;
 	stream->event_fd = dma ? cm_dma_event_fd(dma) : -1;
 	if (dma && (stream->event_fd < 0 || watch(plane, stream->event_fd, stream->id))) {
@@ -302,10 +304,14 @@ int cm_plane_stop(struct cm_plane *plane, int id, int error)
 int cm_plane_adopt(struct cm_plane *plane, int fd)
 {
 	struct client *client = calloc(1, sizeof(*client));
+	struct ucred peer = { .uid = (uid_t)-1 };
+	socklen_t size = sizeof(peer);
 	int id = -1;
 
 	if (!client)
 		return -1;
+	getsockopt(fd, SOL_SOCKET, SO_PEERCRED, &peer, &size);
+	client->user = peer.uid;
 	lock(plane);
 	client->fd = fd;
 	client->id = new_id(plane);

@@ -50,6 +50,9 @@ int cm_plane_take(struct cm_plane *plane, struct cm_plane_event *event);
  * @length: bytes of a slot, and of a transfer that is read
  * @lines, @line_bytes, @stride: a video frame instead, if @lines is not 0
  * @period_ns: frames that come sooner after each other are left out, 0: none
+ * @lent: it has no memory, but so many transfers at most of its client's own bytes; with @write, whatever
+ *        the channel's direction, and @length the most bytes of one
+ * @address: without a channel: memory that its client's user may lend, as devices see it, 0: none
  */
 struct cm_plane_setup {
 	bool write;
@@ -61,6 +64,8 @@ struct cm_plane_setup {
 	uint32_t line_bytes;
 	uint32_t stride;
 	uint64_t period_ns;
+	uint32_t lent;
+	uint64_t address;
 };
 
 /**
@@ -131,6 +136,7 @@ int cm_plane_drop(struct cm_plane *plane, int client);
  * @queued: slots that the hardware has now
  * @idle: times that the hardware had no slot left after a frame
  * @error: errno of the last transfer that failed, 0: none has
+ * @asked, @came: bytes that it was to move, and that the channel says it moved
  * @count: of the entries below that are valid, newest last
  * @at_ns: when recent frames came (CLOCK_MONOTONIC)
  * @latency_ns: from their completion until every client had them
@@ -146,6 +152,8 @@ struct cm_plane_stats {
 	uint32_t idle;
 	int32_t error;
 	uint32_t count;
+	uint64_t asked;
+	uint64_t came;
 	uint64_t at_ns[CM_PLANE_RECENT];
 	uint64_t latency_ns[CM_PLANE_RECENT];
 };

@@ -21,7 +21,7 @@ struct client *client_find(struct cm_plane *plane, int id)
 }
 
 /* Disconnect a client that cannot receive an essential packet; later, because lists are being walked. */
-static void break_off(struct client *client, int error)
+void client_break_off(struct client *client, int error)
 {
 	if (!client->broken)
 		client->error = error;
@@ -37,7 +37,7 @@ int client_send(struct client *client, const void *packet, size_t size)
 {
 	if (!try_send(client, packet, size))
 		return 0;
-	break_off(client, errno);
+	client_break_off(client, errno);
 	return -1;
 }
 
@@ -114,7 +114,7 @@ static int send_fds(const struct client *client, const struct cm_plane_descripto
 /* The memory of all slots from @first on. */
 int client_send_slots(struct client *client, const struct stream *stream, uint32_t first)
 {
-	while (first < stream->slots) {
+	while (first < stream->slots && !stream->setup.lent) {
 		uint32_t left = stream->slots - first;
 		uint32_t count = left < CM_PLANE_FDS_MAX ? left : CM_PLANE_FDS_MAX;
 		int fds[CM_PLANE_FDS_MAX];
@@ -129,7 +129,7 @@ int client_send_slots(struct client *client, const struct stream *stream, uint32
 		for (uint32_t i = 0; i < count; i++)
 			fds[i] = stream->slot[first + i].fd;
 		if (send_fds(client, &packet, fds, count)) {
-			break_off(client, errno);
+			client_break_off(client, errno);
 			return -1;
 		}
 		first += count;
@@ -186,31 +186,84 @@ static void release(struct cm_plane *plane, struct client *client,
 	client_send(client, packet, sizeof(*packet));
 }
 
-static bool may_submit(const struct client *client, const struct cm_plane_descriptor *packet)
+static bool is_free(const struct client *client, uint32_t number)
 {
 	const struct stream *stream = client->stream;
-	uint64_t room = stream->setup.length;
 
-	if (packet->slot >= stream->slots)
-		return false;
-	return stream->slot[packet->slot].owner == client && !stream->slot[packet->slot].queued &&
-	       packet->length > 0 && packet->offset <= room &&
-	       packet->length <= room - packet->offset;
+	return number < stream->slots && stream->slot[number].owner == client &&
+	       !stream->slot[number].queued;
+}
+
+/* 0, or the errno of a SUBMIT of a slot's bytes. */
+static uint32_t in_slot(const struct client *client, const struct cm_plane_descriptor *packet)
+{
+	uint64_t room = client->stream->setup.length;
+
+	return packet->length > 0 && packet->offset <= room &&
+			       packet->length <= room - packet->offset
+		       ? 0
+		       : EINVAL;
+}
+
+/* Memory of the client's user that has all the bytes at an address, or NULL. */
+static const struct stream *memory_at(const struct cm_plane *plane, const struct client *client,
+				      uint64_t address, uint64_t length)
+{
+	for (const struct client *other = plane->clients; other; other = other->next) {
+		const struct cm_plane_setup *setup = other->stream ? &other->stream->setup : NULL;
+
+		if (setup && setup->address && other->user == client->user && !other->broken &&
+		    address >= setup->address && address - setup->address < setup->length &&
+		    length <= setup->length - (address - setup->address))
+			return other->stream;
+	}
+	return NULL;
+}
+
+/* The same of bytes of the client's own, whose place is found. */
+static uint32_t in_memory(const struct cm_plane *plane, const struct client *client,
+			  struct cm_plane_descriptor *packet)
+{
+	struct stream *stream = client->stream;
+	const struct stream *memory =
+		memory_at(plane, client, packet->timestamp_ns, packet->length);
+
+	if (!memory || !packet->length)
+		return EFAULT;
+	if (packet->length > stream->setup.length ||
+	    packet->timestamp_ns - memory->setup.address > UINT32_MAX)
+		return EMSGSIZE;
+	packet->offset = (uint32_t)(packet->timestamp_ns - memory->setup.address);
+	return stream_import(stream, memory, &stream->slot[packet->slot].handle) ? (uint32_t)errno
+										 : 0;
+}
+
+static uint32_t check(const struct cm_plane *plane, const struct client *client,
+		      struct cm_plane_descriptor *packet)
+{
+	const struct stream *stream = client->stream;
+
+	if (!stream || packet->flags != stream->epoch)
+		return ECANCELED;
+	if (!is_free(client, packet->slot))
+		return EINVAL;
+	return stream->setup.lent ? in_memory(plane, client, packet) : in_slot(client, packet);
 }
 
 static void submit(struct cm_plane *plane, struct client *client,
 		   struct cm_plane_descriptor *packet)
 {
-	struct stream *stream = client->stream;
+	uint32_t error = check(plane, client, packet);
 
-	if (stream && packet->flags == stream->epoch && may_submit(client, packet)) {
-		stream->slot[packet->slot].frame = *packet;
-		stream_queue(plane, stream, packet->slot);
+	if (error) {
+		packet->kind = CM_PLANE_DONE;
+		packet->offset = error;
+		packet->length = 0;
+		client_send(client, packet, sizeof(*packet));
 		return;
 	}
-	packet->kind = CM_PLANE_DONE;
-	packet->offset = stream && packet->flags == stream->epoch ? EINVAL : ECANCELED;
-	client_send(client, packet, sizeof(*packet));
+	client->stream->slot[packet->slot].frame = *packet;
+	stream_queue(plane, client->stream, packet->slot);
 }
 
 static void take(struct cm_plane *plane, struct client *client, struct cm_plane_descriptor *packet)
@@ -233,7 +286,7 @@ static void take(struct cm_plane *plane, struct client *client, struct cm_plane_
 		client_send(client, packet, sizeof(*packet));
 		break;
 	default:
-		break_off(client, EPROTO);
+		client_break_off(client, EPROTO);
 	}
 }
 
@@ -245,11 +298,11 @@ bool client_readable(struct cm_plane *plane, struct client *client)
 	if (got == (ssize_t)sizeof(packet))
 		take(plane, client, &packet);
 	else if (got == 0)
-		break_off(client, 0);
+		client_break_off(client, 0);
 	else if (got > 0)
-		break_off(client, EPROTO);
+		client_break_off(client, EPROTO);
 	else if (errno != EAGAIN && errno != EINTR)
-		break_off(client, errno);
+		client_break_off(client, errno);
 	else
 		return false;
 	return !client->broken;

@@ -20,9 +20,18 @@ struct slot {
 	bool queued;	  /* at the hardware, or waits for it */
 	uint32_t outcome; /* of what is queued, if its stream ends now: 0, or errno */
 	uint64_t ended_ns;
+	uint64_t moved;			  /* bytes, by then */
 	struct client *owner;		  /* a writer's */
 	struct cm_plane_descriptor frame; /* what it holds, or carries */
 	uint64_t generation;		  /* of the registers when that began */
+};
+
+#define IMPORTS_MAX 64 /* as many pieces of memory as a user may have */
+
+/* Memory of a client, which the channel knows by a handle. */
+struct import {
+	int memory; /* the stream that has it */
+	uint32_t handle;
 };
 
 struct stream {
@@ -40,6 +49,8 @@ struct stream {
 	uint16_t waiting[CM_PLANE_SLOTS_MAX]; /* ring of slots that the hardware gets next */
 	uint32_t first, count;
 	uint32_t under_way;
+	struct import import[IMPORTS_MAX];
+	uint32_t imports;
 	int cycling;	/* slot that repeats, or -1 */
 	bool replacing; /* that slot is being cancelled, in another thread, for the next */
 	bool aside;	/* there is a thread for it, to be joined */
@@ -57,6 +68,7 @@ struct client {
 	int id;
 	int fd;
 	struct stream *stream; /* or NULL */
+	uid_t user;
 	uint32_t depth;
 	uint32_t held_count;
 	uint64_t frames;     /* handed to it, or taken from it, well; since it was attached */
@@ -123,6 +135,9 @@ void stream_cancel(struct stream *stream);
 void stream_end(struct cm_plane *plane, struct stream *stream, int error);
 struct stream *stream_find(struct cm_plane *plane, int id);
 
+/* The channel's handle for @memory; -1 with errno. */
+int stream_import(struct stream *stream, const struct stream *memory, uint32_t *handle);
+
 /* Under its own lock: the latest generation that was there at @at_ns; @before if none newer is known. */
 uint64_t generation_at(struct cm_plane *plane, uint64_t at_ns, uint64_t before);
 
@@ -133,6 +148,7 @@ int client_offer(struct client *client, const struct stream *stream, uint32_t nu
 void client_grant(struct client *client, const struct stream *stream, const struct slot *slot);
 int client_send_slots(struct client *client, const struct stream *stream, uint32_t first);
 void client_detach(struct cm_plane *plane, struct client *client);
+void client_break_off(struct client *client, int error);
 void clients_reap(struct cm_plane *plane);
 struct client *client_find(struct cm_plane *plane, int id);
 

@@ -54,14 +54,17 @@ static void record(struct stream *stream, uint64_t length, uint64_t completed_ns
 	stream->stats.latency_ns[place] = now > completed_ns ? now - completed_ns : 0;
 }
 
-static void note_error(struct stream *stream, int error)
+static void note_error(struct stream *stream, int error, uint64_t asked, uint64_t came)
 {
 	stream->stats.errors++;
 	stream->stats.error = error;
+	stream->stats.asked = asked;
+	stream->stats.came = came;
 }
 
 /* Tell a writer the outcome of its transfer. */
-static void tell_done(struct stream *stream, struct slot *slot, uint32_t error, uint64_t at_ns)
+static void tell_done(struct stream *stream, struct slot *slot, uint64_t moved, uint32_t error,
+		      uint64_t at_ns)
 {
 	struct cm_plane_descriptor packet = slot->frame;
 
@@ -69,6 +72,8 @@ static void tell_done(struct stream *stream, struct slot *slot, uint32_t error, 
 	packet.flags = stream->epoch;
 	packet.offset = error;
 	packet.timestamp_ns = at_ns;
+	if (stream->setup.lent)
+		packet.length = moved;
 	if (!slot->owner)
 		return;
 	slot->owner->frames += !error;
@@ -76,14 +81,15 @@ static void tell_done(struct stream *stream, struct slot *slot, uint32_t error, 
 }
 
 /* The slot belongs to its writer again, or is free if the writer has gone. */
-static void written(struct stream *stream, struct slot *slot, uint32_t error, uint64_t at_ns)
+static void written(struct stream *stream, struct slot *slot, uint64_t moved, uint32_t error,
+		    uint64_t at_ns)
 {
 	slot->queued = false;
-	tell_done(stream, slot, error, at_ns);
+	tell_done(stream, slot, moved, error, at_ns);
 	if (!error)
-		record(stream, slot->frame.length, at_ns);
+		record(stream, stream->setup.lent ? moved : slot->frame.length, at_ns);
 	else if (error != ECANCELED)
-		note_error(stream, (int)error);
+		note_error(stream, (int)error, slot->frame.length, moved);
 }
 
 static void push(struct cm_plane *plane, struct stream *stream);
@@ -179,7 +185,7 @@ static void push(struct cm_plane *plane, struct stream *stream)
 			lose(plane, stream, errno);
 			return;
 		}
-		written(stream, &stream->slot[pop(stream)], (uint32_t)errno,
+		written(stream, &stream->slot[pop(stream)], 0, (uint32_t)errno,
 			(uint64_t)cm_clock_ns());
 	}
 }
@@ -191,8 +197,9 @@ void stream_queue(struct cm_plane *plane, struct stream *stream, uint32_t number
 
 	slot->queued = true;
 	slot->outcome = ECANCELED;
+	slot->moved = 0;
 	if (!stream->dma) {
-		written(stream, slot, 0, (uint64_t)cm_clock_ns());
+		written(stream, slot, slot->frame.length, 0, (uint64_t)cm_clock_ns());
 		return;
 	}
 	stream->waiting[place] = (uint16_t)number;
@@ -243,7 +250,7 @@ static void read_done(struct cm_plane *plane, struct stream *stream,
 	if (completion->status == -ECANCELED)
 		return;
 	if (completion->status) {
-		note_error(stream, -completion->status);
+		note_error(stream, -completion->status, stream->setup.length, completion->length);
 		stream->sequence++; /* the frame that failed has a number: readers see the gap */
 	} else if (!too_soon(stream, completion->timestamp_ns)) {
 		slot->frame = (struct cm_plane_descriptor){
@@ -270,11 +277,12 @@ static void cycle_done(struct stream *stream, const struct cm_dma_completion *co
 		return;
 	if (completion->status) {
 		stream->cycling = -1;
-		written(stream, slot, (uint32_t)-completion->status, completion->timestamp_ns);
+		written(stream, slot, completion->length, (uint32_t)-completion->status,
+			completion->timestamp_ns);
 		return;
 	}
 	if (!stream->announced)
-		tell_done(stream, slot, 0, completion->timestamp_ns);
+		tell_done(stream, slot, completion->length, 0, completion->timestamp_ns);
 	stream->announced = true;
 	record(stream, slot->frame.length, completion->timestamp_ns);
 }
@@ -288,8 +296,8 @@ static void completed(struct cm_plane *plane, struct stream *stream,
 		cycle_done(stream, completion);
 	} else if (stream->setup.write) {
 		stream->under_way--;
-		written(stream, &stream->slot[completion->cookie], (uint32_t)-completion->status,
-			completion->timestamp_ns);
+		written(stream, &stream->slot[completion->cookie], completion->length,
+			(uint32_t)-completion->status, completion->timestamp_ns);
 	} else {
 		read_done(plane, stream, completion);
 	}
@@ -325,6 +333,7 @@ static void note_end(struct stream *stream, const struct cm_dma_completion *comp
 		return;
 	slot = &stream->slot[completion->cookie];
 	slot->outcome = (uint32_t)-completion->status;
+	slot->moved = completion->length;
 	slot->ended_ns = completion->timestamp_ns;
 }
 
@@ -353,8 +362,48 @@ static void tell_writers(struct stream *stream)
 			false; /* its writer knows that it was taken */
 	for (struct slot *slot = stream->slot; slot < stream->slot + stream->slots; slot++)
 		if (slot->queued && stream->setup.write)
-			written(stream, slot, slot->outcome,
+			written(stream, slot, slot->moved, slot->outcome,
 				slot->outcome == ECANCELED ? now : slot->ended_ns);
+}
+
+int stream_import(struct stream *stream, const struct stream *memory, uint32_t *handle)
+{
+	struct cm_buffer buffer;
+
+	for (uint32_t i = 0; i < stream->imports; i++) {
+		if (stream->import[i].memory != memory->id)
+			continue;
+		*handle = stream->import[i].handle;
+		return 0;
+	}
+	if (stream->imports == IMPORTS_MAX) {
+		errno = ENOSPC;
+		return -1;
+	}
+	if (cm_dma_import(stream->dma, memory->slot[0].fd, &buffer))
+		return -1;
+	cm_buffer_close(&buffer);
+	*handle = buffer.handle;
+	stream->import[stream->imports++] = (struct import){ memory->id, buffer.handle };
+	return 0;
+}
+
+/* Memory goes: a transfer that still uses it takes its client along, so that the stream ends. */
+static void forget(struct stream *stream, int memory)
+{
+	for (uint32_t i = 0; i < stream->imports; i++) {
+		uint32_t handle = stream->import[i].handle;
+
+		if (stream->import[i].memory != memory)
+			continue;
+		stream->import[i] = stream->import[--stream->imports];
+		for (struct slot *slot = stream->slot; slot < stream->slot + stream->slots; slot++)
+			if (slot->queued && slot->handle == handle && slot->owner)
+				client_break_off(slot->owner, EFAULT);
+		if (!stream->lost && !stream->ending)
+			cm_dma_free(stream->dma, handle);
+		return;
+	}
 }
 
 void stream_end(struct cm_plane *plane, struct stream *stream, int error)
@@ -369,6 +418,9 @@ void stream_end(struct cm_plane *plane, struct stream *stream, int error)
 	};
 
 	tell_writers(stream);
+	for (struct stream *other = plane->streams; stream->setup.address && other;
+	     other = other->next)
+		forget(other, stream->id);
 	for (struct client *client = plane->clients; client; client = client->next) {
 		if (client->stream != stream)
 			continue;

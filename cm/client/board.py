@@ -59,9 +59,10 @@ if TYPE_CHECKING:
     from cm.client.frame import Frame
     from cm.client.register_window import RegisterWindow
     from cm.client.stream import Stream
-    from cm.client.writer import Writer
+    from cm.client.writer import Transfers, Writer
 
 _T = TypeVar("_T")
+_W = TypeVar("_W", bound="Writer")
 _PATIENCE = 0.05  # seconds that a read over the data socket may take before it is made by a request
 
 
@@ -375,19 +376,33 @@ class Board(Guarded):
         `depth` slots (0: 4) are ours. On the manager's machine only; `write` works from anywhere.
         `lease`: your lease's id, if the stream's region is under a lease.
         """
+        folder = self._place.data_folder("a writer")
+        from cm.client.writer import Writer  # here: other systems than Linux have no such sockets
+
         wanted = Open(name, Purpose.WRITE, depth=depth, lease=self._leases.named(lease))
-        return self._writer(self._place.data_folder("a writer"), wanted, timeout)
+        return self._opened(Writer(folder, wanted, timeout, owner=self))
 
     def echo(self, length: int, timeout: float | None = 5.0, *, depth: int = 2) -> Writer:
         """Slots of `length` bytes that need no hardware: what is sent is done at once. For measuring."""
+        folder = self._place.data_folder("an echo")
+        from cm.client.writer import Writer
+
         wanted = Open("", Purpose.ECHO, depth=depth, length=length)
-        return self._writer(self._place.data_folder("an echo"), wanted, timeout)
+        return self._opened(Writer(folder, wanted, timeout, owner=self))
 
-    def _writer(self, folder: Path, wanted: Open, timeout: float | None) -> Writer:
-        from cm.client.writer import Writer  # here: other systems than Linux have no such sockets
+    def transfers(self, name: str, timeout: float | None = 5.0, *, lease: str = "") -> Transfers:
+        """Transfer arrays of `allocate` to a stream, or from it into them: ``transfers.begin(array)``.
 
-        writer = self._sockets.using(Writer(folder, wanted, timeout, owner=self))
-        writer.open()
+        The stream is nobody else's meanwhile (RequestBusy). On the manager's machine only.
+        """
+        folder = self._place.data_folder("a transfer")
+        from cm.client.writer import Transfers
+
+        wanted = Open(name, Purpose.TRANSFER, lease=self._leases.named(lease))
+        return self._opened(Transfers(folder, wanted, timeout, owner=self))
+
+    def _opened(self, writer: _W) -> _W:
+        self._sockets.using(writer).open()
         return writer
 
     def _window(self, wanted: Open, timeout: Limit) -> RegisterWindow:

@@ -9,7 +9,6 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
-from weakref import WeakSet
 
 from cm.client.core import calls, memory, registers
 from cm.client.errors import ConnectionLost, RequestFailed
@@ -56,7 +55,6 @@ class Places:
 
     def __init__(self, found: AnyBoard) -> None:
         self._board = found
-        self.until_load: WeakSet[Any] = WeakSet()  # what has a `close` that the next load of this program calls
         self._lock = threading.RLock()
         self._statuses = found.watch()
         self._ready = _ready(self._statuses.fileno())

@@ -3,17 +3,19 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
+from cm.client.allocation import DeviceArray
 from cm.client.core.flow_effects import DEFAULT, Limit, seconds, time_limit
 from cm.client.data_connection import DataConnection
 from cm.client.errors import BoardClosed, ConnectionLost, TransferFailed
@@ -22,6 +24,8 @@ from cm.client.pixel_formats import AS_IT_IS, from_rgb, is_rgb
 from cm.errors import CmError, InvalidRequest, Timeout
 from cm.wire import plane_packets as packets
 from cm.wire.plane_packets import Descriptor, Geometry, Open, Purpose
+
+Self = TypeVar("Self", bound="Writer")
 
 # What memory and socket raise if another thread closes the writer meanwhile; then that is what is said.
 _BROKEN = (CmError, OSError, LookupError, ValueError, AttributeError)
@@ -41,8 +45,11 @@ class Writer:
         self.name: str = wanted.name
         self._stands = wanted.purpose is Purpose.ECHO  # no hardware is behind an echo: nothing takes its slots back
         self._next = 0
-        self._under_way: set[int] = set()  # sequences
-        self._failed: list[Descriptor] = []
+        self.moved = 0  # bytes of the frame that was done last
+        self._under_way: dict[
+            int, tuple[int, DeviceArray | None]
+        ] = {}  # by sequence: bytes, and whose, if they are ours
+        self._failed: list[tuple[Descriptor, int]] = []  # with the bytes that were asked for
 
     def open(self) -> None:
         """Wait for the first slot, as `Board.writer` does. Raises the manager's refusal, Timeout."""
@@ -209,7 +216,7 @@ class Writer:
             self._connection.granted.append(grant)
 
     def _submit(self, grant: Descriptor, length: int) -> None:
-        self._under_way.add(self._next)
+        self._under_way[self._next] = length, None
         self._connection.submit(grant, 0, length, self._next)
         self._next += 1
 
@@ -243,9 +250,12 @@ class Writer:
             done = connection.done.popleft()
             if done.kind != packets.DONE:
                 continue
-            self._under_way.discard(done.sequence)
+            asked, array = self._under_way.pop(done.sequence, (done.length, None))
+            if array is not None:
+                array.sync_from_device()
+            self.moved = done.length
             if done.offset:
-                self._failed.append(done)
+                self._failed.append((done, asked))
             memory = connection.memory
             if memory is not None and done.flags == memory.epoch and not (memory.geometry.cyclic and not done.offset):
                 connection.granted.append(done)
@@ -253,8 +263,10 @@ class Writer:
     def _raise_failures(self) -> None:
         if self._failed:
             failed, self._failed = self._failed[0], []
-            text = os.strerror(failed.offset)
-            raise TransferFailed(f"stream {self.name!r}: frame {failed.sequence} was not taken: {text}")
+            raise TransferFailed(f"stream {self.name!r}: {self._sentence(*failed)}: {os.strerror(failed[0].offset)}")
+
+    def _sentence(self, failed: Descriptor, _: int) -> str:
+        return f"frame {failed.sequence} was not taken"
 
     def fileno(self) -> int:
         """Descriptor that polls readable when a frame is done."""
@@ -274,7 +286,7 @@ class Writer:
         if self._closed is None and hasattr(self, "_connection"):  # dropped without being closed
             self.close()
 
-    def __enter__(self) -> Writer:
+    def __enter__(self: Self) -> Self:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
@@ -282,3 +294,43 @@ class Writer:
 
     def __repr__(self) -> str:
         return f"<writer of {self.name or 'an echo'}>"
+
+
+class Transfers(Writer):
+    """Transfers of one's own memory: from it to the hardware, or into it, as the stream goes. No byte is copied."""
+
+    def begin(self, array: DeviceArray, start: int = 0, nbytes: int = 0, timeout: Limit = DEFAULT) -> None:
+        """Begin to transfer `nbytes` (0: the rest) of an array of `Board.allocate`, from byte `start` on.
+
+        Up to four may be under way; `flush` waits for them, and `moved` is what the last one moved. A packet from the
+        hardware that is longer fails. Raises InvalidRequest for what is not the array's, Timeout, TransferFailed of an
+        earlier one.
+        """
+        length = nbytes or array.nbytes - start
+        if start < 0 or length <= 0 or start + length > array.nbytes or not array.flags.c_contiguous:
+            raise InvalidRequest(
+                f"bytes {start} to {start + length} are not in one piece in an array of {array.nbytes} bytes"
+            )
+        self.catch_up()
+        grant, memory = self._borrow(0, timeout)
+        if length > memory.geometry.slot_length:
+            self._put_back(grant, memory)
+            raise InvalidRequest(
+                f"stream {self.name!r}: {length} bytes; the engine moves {memory.geometry.slot_length} at once, and "
+                "the logic would take two transfers for two packets"
+            )
+        address = array.device_address + start
+        array.sync_to_device()
+        self._under_way[self._next] = length, array
+        self._connection.submit(grant._replace(timestamp_ns=address), 0, length, self._next)
+        self._next += 1
+
+    def _sentence(self, failed: Descriptor, asked: int) -> str:
+        longer = " (a packet may have been longer)" if failed.offset == errno.EIO else ""
+        return f"a transfer failed after {failed.length} of {asked} bytes{longer}"
+
+    def slot(self, *_: Any, **__: Any) -> AbstractContextManager[npt.NDArray[Any]]:
+        """Not possible: there are no slots."""
+        raise InvalidRequest(f"stream {self.name!r} transfers the memory of arrays: begin(array)")
+
+    lend = slot

@@ -19,7 +19,10 @@ ECHO_DEPTH = 64  # transfers under way where there is no channel
 
 @dataclass(frozen=True, slots=True)
 class StreamSetup:
-    """How a stream runs: lengths in bytes; `lines` is 0 if a frame is not a video frame; `period_ns` 0: no limit."""
+    """How a stream runs: lengths in bytes; `lines` is 0 if a frame is not a video frame; `period_ns` 0: no limit.
+
+    `lent`: how many transfers of its client's own memory at once, 0: it has slots. `address`: of memory to lend.
+    """
 
     write: bool
     length: int
@@ -29,6 +32,8 @@ class StreamSetup:
     line_bytes: int = 0
     stride: int = 0
     period_ns: int = 0
+    lent: int = 0
+    address: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +94,8 @@ class Plane:
             setup.line_bytes,
             setup.stride,
             setup.period_ns,
+            setup.lent,
+            setup.address,
         )
         return native.start(self._handle, None if dma is None else dma.shim_handle, raw)
 

@@ -149,8 +149,6 @@ class Overlay(DefaultHierarchy):
                 f"the manager has no configuration {self._name!r}: `cm import pynq {self.bitfile_name} --out DIR`, DIR "
                 "being a folder that it reads, makes one; a manager that runs sees it after a reload or restart"
             )
-        for opened in list(places().until_load):
-            opened.close()
         board().load(self._name, force=True)
         places().refresh()
 

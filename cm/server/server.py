@@ -244,6 +244,7 @@ class Server:
         return {
             Purpose.READ: streams.open_local,
             Purpose.WRITE: streams.open_local,
+            Purpose.TRANSFER: streams.open_local,
             Purpose.ECHO: echoes.open,
             Purpose.ALLOCATE: allocations.open,
             Purpose.WINDOW: self._open_window,

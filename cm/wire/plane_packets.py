@@ -53,10 +53,11 @@ class Purpose(IntEnum):
     WINDOW = 8  # the registers of a module or region, mapped
     WRITABLE_WINDOW = 9
     REGISTERS = 64  # reads of registers by name
+    TRANSFER = 128  # transfers from or into memory of ALLOCATE, on a stream that is nobody else's meanwhile
 
 
 _WINDOWS = (Purpose.WINDOW, Purpose.WRITABLE_WINDOW)
-_NAMED = (Purpose.READ, Purpose.WRITE, *_WINDOWS)
+_NAMED = (Purpose.READ, Purpose.WRITE, Purpose.TRANSFER, *_WINDOWS)
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,6 +21,8 @@ struct cm_plane_setup {
 	uint32_t line_bytes;
 	uint32_t stride;
 	uint64_t period_ns;
+	uint32_t lent;
+	uint64_t address;
 	...;
 };
 struct cm_plane_stats {
@@ -34,6 +36,8 @@ struct cm_plane_stats {
 	uint32_t idle;
 	int32_t error;
 	uint32_t count;
+	uint64_t asked;
+	uint64_t came;
 	uint64_t at_ns[...];
 	uint64_t latency_ns[...];
 	...;

@@ -72,6 +72,11 @@
 #define CM_PLANE_OPEN_EXCLUSIVE 16 /* a window: with a lease on its region */
 #define CM_PLANE_OPEN_WAIT 32	   /* a window: not refused while the module is not there */
 #define CM_PLANE_OPEN_REGISTERS 64 /* no stream: READs of registers by name */
+/*
+ * Transfers from or into memory of our own: a SUBMIT has the address of the first byte, as ADDRESS says it, in
+ * @timestamp_ns; DONE has the @length that was moved.  The stream is nobody else's meanwhile.
+ */
+#define CM_PLANE_OPEN_TRANSFER 128
 
 /**
  * struct cm_plane_descriptor - 32 bytes

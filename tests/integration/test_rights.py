@@ -439,7 +439,7 @@ REQUESTS = [
     rq.TakeLease("region:none"), rq.RenewLease("none"), rq.ReleaseLease("none"), rq.BreakLease(99),
 ]
 OPENS = [
-    p.Open("camera"), p.Open("to_pl", P.WRITE), p.Open("", P.ECHO, length=4096), p.Open("", P.ALLOCATE, length=4096),
+    p.Open("camera"), p.Open("to_pl", P.WRITE), p.Open("to_pl", P.TRANSFER), p.Open("", P.ECHO, length=4096), p.Open("", P.ALLOCATE, length=4096),
     p.Open("static", P.WINDOW), p.Open("static", P.WRITABLE_WINDOW), p.Open("", P.REGISTERS),
 ]
 

@@ -24,7 +24,7 @@ class Event(NamedTuple):
 class StreamCounts(NamedTuple):
     """What happened since a stream's start; of recent frames, the times of completion and latencies (ns), newest last.
 
-    `error`: the errno of the last transfer that failed, 0 if none has.
+    `error`: the errno of the last transfer that failed, 0 if none has; `asked`, `came`: bytes of it.
     """
 
     frames: int
@@ -36,6 +36,8 @@ class StreamCounts(NamedTuple):
     queued: int
     idle: int
     error: int
+    asked: int
+    came: int
     at_ns: tuple[int, ...]
     latency_ns: tuple[int, ...]
 
@@ -61,6 +63,8 @@ class Setup(NamedTuple):
     line_bytes: int
     stride: int
     period_ns: int
+    lent: int
+    address: int
 
 
 def new() -> Handle:
@@ -137,7 +141,7 @@ def stats(plane: Handle, stream: int) -> StreamCounts:
     check(lib.cm_plane_get_stats(plane, stream, raw))
     recent = tuple(raw.at_ns)[: raw.count], tuple(raw.latency_ns)[: raw.count]
     counts = raw.frames, raw.dropped, raw.errors, raw.bytes, raw.late, raw.held, raw.queued, raw.idle, raw.error
-    return StreamCounts(*counts, *recent)
+    return StreamCounts(*counts, raw.asked, raw.came, *recent)
 
 
 def client_stats(plane: Handle, client: int) -> ClientCounts:

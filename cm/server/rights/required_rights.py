@@ -44,6 +44,7 @@ OPENING: Mapping[Purpose, Right] = MappingProxyType(
     {
         Purpose.READ: _right(Role.OBSERVE, _DATA, touched.opened_stream),
         Purpose.WRITE: _right(Role.OPERATE, _DATA, touched.opened_stream),
+        Purpose.TRANSFER: _right(Role.OPERATE, _DATA, touched.opened_stream),
         Purpose.ECHO: _right(Role.OBSERVE, _DATA, touched.opened_memory),
         Purpose.ALLOCATE: _right(Role.OPERATE, _DATA, touched.opened_memory),
         Purpose.WINDOW: _right(Role.MAP, _DATA, touched.opened_window),

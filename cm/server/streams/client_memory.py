@@ -146,7 +146,7 @@ class Allocations:
 
     def _hand_over(self, client: int, memory: DeviceMemory, length: int, peer: Peer) -> None:
         try:
-            stream = self._plane.start(None, StreamSetup(write=True, length=memory.length))
+            stream = self._plane.start(None, StreamSetup(write=True, length=memory.length, address=memory.address))
             self._open[client] = (stream, memory)
             self._plane.add_slot(stream, memory.fd)
             self.budget.took(client, peer, memory.length)

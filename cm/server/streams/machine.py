@@ -116,11 +116,18 @@ def share(stream: str, depth: int, peer: Peer, held: Iterable[tuple[Peer, int]],
 class Member:
     """A client of a stream, which it stays while the stream is closed; but for the daemon's own (`peer` None)."""
 
-    __slots__ = ("check", "client", "depth", "error", "joined", "leaving", "ours", "peer", "settled", "stopped")
+    __slots__ = (
+        "check", "client", "depth", "error", "joined", "leaving", "lends", "ours", "peer", "settled", "stopped"
+    )  # fmt: skip
 
-    def __init__(self, client: int, depth: int, peer: Peer | None, stopped: Callable[[int], object]) -> None:
-        """`stopped` is to be called with an errno, or 0, if the stream ends while the client waits."""
-        self.client, self.depth, self.stopped = client, depth, stopped
+    def __init__(
+        self, client: int, depth: int, peer: Peer | None, stopped: Callable[[int], object], lends: bool = False
+    ) -> None:
+        """`stopped` is to be called with an errno, or 0, if the stream ends while the client waits.
+
+        `lends`: it transfers memory of its own, and needs no slots.
+        """
+        self.client, self.depth, self.stopped, self.lends = client, depth, stopped, lends
         self.ours, self.peer = peer is None, peer or Peer.ourselves()
         self.joined = False  # it has its slots; else it waits for them, or for the stream
         self.leaving = False  # it only holds frames yet
@@ -158,6 +165,7 @@ class StreamMachine:
         self.made = self.given = 0  # slots that there are, and those that the plane has
         self._stream: Stream  # as it was opened
         self._writes = False
+        self.lent = False  # it was opened for the memory of a client
         self._patience = 0
 
     def after(self, event: StreamEvent) -> None:
@@ -176,6 +184,7 @@ class StreamMachine:
         """Its channel was opened; members that waited for that join again."""
         self.after(_E.OPEN)
         self._stream, self._writes, self._patience = stream, stream.direction is Direction.MM2S, _PATIENCE
+        self.lent = self.is_lent
 
     # ---- members ----------------------------------------------------------------------
 
@@ -186,13 +195,23 @@ class StreamMachine:
         peer: Peer | None = None,
         each: int = SLOTS_MAX,
         stopped: Callable[[int], object] = lambda _: None,
+        lends: bool = False,
     ) -> Member:
-        """Add a client that wants `depth` slots (0: four). Raises NoSlots; a user gets `each` at most."""
+        """Add a client that wants `depth` slots (0: four), or `lends` its memory.
+
+        A user gets `each` slots at most. Raises NoSlots, and Busy where clients of the other kind are there.
+        """
+        for other in self.members.values():
+            if other.lends or (lends and not (other.ours or other.leaving)):
+                raise Busy(
+                    f"stream {self.name!r} is in use by pid {other.peer.pid} ({other.peer.name}): transfers of a "
+                    "client's own memory have it alone"
+                )
         depth = max(1, min(depth or DEPTH, SLOTS_MAX - RESERVE))
         if peer is not None:
             held = [(member.peer, member.depth) for member in self.members.values() if not member.ours]
             depth = share(self.name, depth, peer, held, each)
-        member = self.members[client] = Member(client, depth, peer, stopped)
+        member = self.members[client] = Member(client, depth, peer, stopped, lends)
         return member
 
     def left(self, client: int) -> None:
@@ -217,6 +236,11 @@ class StreamMachine:
         return {member.client: member.peer for member in self.members.values() if member.joined}
 
     @property
+    def is_lent(self) -> bool:
+        """Whether it shall transfer the memory of a client."""
+        return any(member.lends for member in self.members.values())
+
+    @property
     def is_used(self) -> bool:
         """Whether clients on this machine want frames, or want to write them."""
         return any(not (member.ours or member.leaving) for member in self.members.values())
@@ -225,6 +249,8 @@ class StreamMachine:
 
     def wanted(self, depth: int = 0) -> int:
         """How many slots it takes so that the hardware has some left when every reader holds all it may."""
+        if self.lent:
+            return 0
         own = 0 if self._writes else min(self._stream.slots, SLOTS_MAX)
         if self._stream.backpressure and not self._writes:
             return own

@@ -211,6 +211,9 @@ class RunningStreams:
         """Open streams that are wanted, and close those that are no longer wanted."""
         for name in self._stalled.answered() if self._lifecycle.stalled() else ():
             self._lifecycle.machine(name).after(StreamEvent.ANSWER)
+        for opened in list(self.open.values()):
+            if opened.machine.lent != opened.machine.is_lent:  # the next user opens it in the other way
+                self.stop(opened.stream.name)
         for event, stream in self._lifecycle.due(self.users):
             if event is StreamEvent.CLOSE:
                 self.stop(stream.name)
@@ -223,7 +226,8 @@ class RunningStreams:
                     machine.after(StreamEvent.FAIL)
                 self._could_not_open(stream.name, error)
         for opened in list(self.open.values()):
-            self.zmq.refresh(opened, self.has_subscriber(opened.stream))
+            if not opened.machine.lent:
+                self.zmq.refresh(opened, self.has_subscriber(opened.stream))
 
     def users(self, stream: Stream) -> Users:
         """Return who uses a stream now."""
@@ -245,6 +249,8 @@ class RunningStreams:
     def running(self, stream: Stream) -> OpenStream:
         """Return a stream, opened if need be; it starts in a later turn. Raises StreamStopped, Timeout, DeviceError."""
         self._lifecycle.check_may_run(stream.name)
+        if self._lifecycle.machine(stream.name).is_lent:
+            raise Busy(f"stream {stream.name!r} is in use: a client transfers its own memory, and has it alone")
         return self.open.get(stream.name) or self._open(stream)
 
     def end_forbidden(self, stream: Stream) -> None:
@@ -274,7 +280,10 @@ class RunningStreams:
 
         client, machine = self.plane.adopt(os.dup(connection.fileno())), self._lifecycle.machine(stream.name)
         try:
-            member = machine.join(client, wanted.depth, peer, self._slots_each, stopped)
+            lends = wanted.purpose is Purpose.TRANSFER
+            if lends or machine.is_lent:
+                self._make_way(stream)
+            member = machine.join(client, wanted.depth, peer, self._slots_each, stopped, lends)
             member.check = check
             if not self._lifecycle.may_run(stream.name) and stream.name not in self.open:
                 member.settled = True
@@ -289,6 +298,14 @@ class RunningStreams:
             machine.left(client)
             self.plane.drop(client)
             raise
+
+    def _make_way(self, stream: Stream) -> None:
+        """Stop a stream that nobody uses: its next client wants it in another way. Raises Busy."""
+        self.settle()
+        if self.zmq.working(stream.name) or self.has_subscriber(stream):
+            raise Busy(f"stream {stream.name!r} is in use over ZeroMQ: a client's transfers have it alone")
+        if not self._lifecycle.machine(stream.name).is_used:
+            self.stop(stream.name)
 
     def _open(self, stream: Stream) -> OpenStream:
         """Open a stream; its slots come in later turns."""
@@ -562,16 +579,17 @@ class Streams:
         self._driver.zmq.writer(self._driver.running(stream)).write(data, done)
 
     def open_local(self, connection: socket.socket, wanted: Open, peer: Peer) -> Iterator[object]:
-        """Return the steps that make a connection a reader or writer of a stream; the caller closes the connection.
+        """Return the steps that make a connection a client of a stream; the caller closes the connection.
 
         They raise UnknownStream, NoSlots, DeviceError; also HeldBy, if the region is leased to another client and this
         one would write, or could hold up the hardware.
         """
-        writes, who = wanted.purpose is Purpose.WRITE, self._rights.whose(connection)
-        stream = self.named(wanted.name, Direction.MM2S if writes else Direction.S2MM)
+        reads, who = wanted.purpose is Purpose.READ, self._rights.whose(connection)
+        direction = {Purpose.READ: Direction.S2MM, Purpose.WRITE: Direction.MM2S}.get(wanted.purpose)
+        stream = self.named(wanted.name, direction)
 
         def check_lease(now: Stream) -> None:
-            if writes or now.backpressure:
+            if not reads or now.backpressure:
                 self.check_lease(now, wanted.lease)
 
         def check(now: Stream) -> None:

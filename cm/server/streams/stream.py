@@ -14,11 +14,12 @@ from collections.abc import Callable, Iterator, Sequence
 
 from cm.device import AxiDma, DmaBuffer, DmaInfo, DmaType
 from cm.device.data_plane import Plane, StreamCounts, StreamSetup
+from cm.errors import InvalidRequest
 from cm.frozen import dataclass, replace
 from cm.manager.status_reports import stream_status
 from cm.schema.model import Direction, Stream
 from cm.server.streams.channel_setup import frame_bytes, longest, setup
-from cm.server.streams.machine import Step, StepKind, StreamMachine, StreamPhase
+from cm.server.streams.machine import DEPTH, Step, StepKind, StreamMachine, StreamPhase
 from cm.server.streams.slots import Slots
 from cm.wire.messages.status import ErrorInfo, FrameInfo, StreamClient, StreamStatus
 from cm.wire.plane_packets import Descriptor, Geometry, encode_geometry, encode_label
@@ -40,12 +41,13 @@ def rate(counts: StreamCounts) -> float:
     )
 
 
-def transfer_error(counts: StreamCounts, setup: StreamSetup) -> ErrorInfo | None:
+def transfer_error(counts: StreamCounts, writes: bool) -> ErrorInfo | None:
     """Say why a transfer last failed; None if none has."""
     if not counts.error:
         return None
-    text = f"a transfer of {setup.length} bytes failed: {os.strerror(counts.error)}"
-    if counts.error == errno.EIO and not setup.write:
+    after = f" after {counts.came}" if counts.came else ""
+    text = f"a transfer of {counts.asked} bytes failed{after}: {os.strerror(counts.error)}"
+    if counts.error == errno.EIO and not writes:
         text += "; the packet was longer than the frame, or the bus reported an error"
     return ErrorInfo("transfer_failed", text)
 
@@ -74,7 +76,10 @@ class OpenStream:
         self._names = ("", "")
         self.driven = False  # whether steps are being taken
         try:
-            self.setup = setup(dma.info, stream)
+            most = longest(dma.info, stream)
+            self.setup = StreamSetup(True, most, lent=DEPTH) if machine.is_lent else setup(dma.info, stream)
+            if self.setup.lent and dma.info.type is DmaType.VDMA:
+                raise InvalidRequest(f"stream {stream.name!r}: channel {dma.info.name} is a VDMA's, which moves lines")
             self.id = plane.start(dma, self.setup)
         except BaseException:
             dma.close()
@@ -126,6 +131,10 @@ class OpenStream:
 
     def _geometry(self, depth: int) -> Geometry:
         s = self.stream
+        if self.setup.lent:
+            return Geometry(
+                self.setup.length, depth=depth, stream=s.name, config_name=self._names[0], mode=self._names[1]
+            )
         coherent = all(slot.coherent for slot in self.slots)
         return Geometry(
             slot_length=self.slots[0].length,
@@ -176,7 +185,7 @@ class OpenStream:
         counts = self._plane.counts(self.id)
         return replace(
             stream_status(self.stream),
-            slots=len(self.slots) or self.stream.slots,
+            slots=0 if self.setup.lent else len(self.slots) or self.stream.slots,
             open=True,
             frames=counts.frames,
             dropped=counts.dropped,
@@ -187,12 +196,12 @@ class OpenStream:
             exact=not (self.writes or self.channel.tells_length or self.channel.type is DmaType.VDMA),
             max_length=longest(self.channel, self.stream),
             slot_bytes=self.setup.length,
-            last_error=transfer_error(counts, self.setup),
+            last_error=transfer_error(counts, self.writes),
         )
 
     def failure(self) -> ErrorInfo | None:
         """Why a transfer last failed, or None."""
-        return transfer_error(self._plane.counts(self.id), self.setup)
+        return transfer_error(self._plane.counts(self.id), self.writes)
 
     def _clients(self) -> Iterator[StreamClient]:
         for client, peer in self.machine.joined.items():

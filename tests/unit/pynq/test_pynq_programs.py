@@ -30,7 +30,7 @@ from cm import pynq
 from cm.client.blocks import Block, _drivers
 from cm.errors import Busy, InvalidRequest, NotFound
 from cm.formats.importers import import_pynq, write
-from cm.pynq.board import board, places
+from cm.pynq.board import board, opened, places
 from cm.pynq.lib import DMA, AxiGPIO
 from cm.simulation.software import Board as SimBoard
 
@@ -95,6 +95,7 @@ def bit(both: tuple[Manager, SimBoard], design_folder: Path, monkeypatch: pytest
     board().close()
     board.cache_clear()
     places.cache_clear()
+    opened.cache_clear()
 
 
 @pytest.fixture
@@ -314,19 +315,61 @@ def test_a_packet_that_ends_early_says_how_much_came(overlay: pynq.Overlay) -> N
     assert (dma.recvchannel.transferred, int(result.sum())) == (100, 700)
 
 
-def test_packets_that_come_between_two_transfers_wait_in_order(overlay: pynq.Overlay) -> None:
+def test_a_packet_waits_for_the_transfer_that_takes_it(overlay: pynq.Overlay) -> None:
     dma, source, result = overlay.dma, pynq.allocate(64, "u1"), pynq.allocate(64, "u1")
     assert not dma.recvchannel.idle
-    dma.recvchannel.transfer(result)
     for value in (1, 2, 3):
         source[:] = value
         dma.sendchannel.transfer(source)
-        dma.sendchannel.wait()
-    for value in (1, 2, 3):
-        if value > 1:
-            dma.recvchannel.transfer(result)
+        dma.recvchannel.transfer(result)
         dma.recvchannel.wait()
+        dma.sendchannel.wait()
         assert result.tolist() == [value] * 64
+
+
+def test_a_transfer_leaves_no_byte_beside_its_own(overlay: pynq.Overlay) -> None:
+    dma, source, result = overlay.dma, pynq.allocate(64, "u1"), pynq.allocate(64, "u1")
+    source[:], result[:] = range(64), 255
+    dma.recvchannel.transfer(result[8:40], 4, 16)
+    dma.sendchannel.transfer(source, 16, 16)
+    dma.recvchannel.wait()
+    assert result.tolist() == [255] * 12 + list(range(16, 32)) + [255] * 36
+
+
+def test_any_buffers_of_the_program_are_transferred_and_those_of_another_are_not(
+    overlay: pynq.Overlay, both: tuple[Manager, SimBoard]
+) -> None:
+    dma, results = overlay.dma, [pynq.allocate(64 + i, "u1") for i in range(5)]
+    for round_ in range(3):
+        for i, result in enumerate(results):
+            source = pynq.allocate(64, "u1")
+            source[:] = 10 * round_ + i
+            dma.recvchannel.transfer(result)
+            dma.sendchannel.transfer(source)
+            dma.recvchannel.wait()
+            assert result[:64].tolist() == source.tolist()
+            source.freebuffer()
+    gone = pynq.allocate(64, "u1")
+    gone.freebuffer()
+    dma.sendchannel.transfer(gone)
+    with pytest.raises(RuntimeError, match=r"dma_mm2s.*Bad address"):
+        dma.sendchannel.wait()
+    with both[0].connected() as other, pytest.raises(Busy, match=r"dma_mm2s.*in use by pid"):
+        other.writer("dma_mm2s")
+
+
+def test_memory_that_goes_during_a_transfer_ends_it(overlay: pynq.Overlay) -> None:
+    dma, source, result = overlay.dma, pynq.allocate(64, "u1"), pynq.allocate(64, "u1")
+    dma.recvchannel.transfer(result)
+    result.freebuffer()
+    with pytest.raises(RuntimeError, match="hung up"):
+        dma.recvchannel.wait()
+    result = pynq.allocate(64, "u1")
+    source[:] = 4
+    dma.recvchannel.transfer(result)
+    dma.sendchannel.transfer(source)
+    dma.recvchannel.wait()
+    assert result.tolist() == [4] * 64
 
 
 @pytest.mark.parametrize("name", ["dma_mm2s", "dma_s2mm"])
@@ -381,7 +424,6 @@ def test_a_channel_goes_on_after_the_overlay_was_loaded_again(overlay: pynq.Over
             dma.sendchannel.transfer(source)
             dma.recvchannel.wait()
             assert result.tolist() == source.tolist()
-            dma.recvchannel.close()
         again.download()
 
 

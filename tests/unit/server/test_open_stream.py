@@ -39,7 +39,7 @@ class Bench:
         self._handles = count()
         self.geometry: Geometry | None = None
         self.counts = SimpleNamespace(
-            frames=7, dropped=1, errors=2, bytes=700, error=0, at_ns=[NOW - 2 * 10**8, NOW - 10**8],
+            frames=7, dropped=1, errors=2, bytes=700, error=0, asked=32, came=0, at_ns=[NOW - 2 * 10**8, NOW - 10**8],
             latency_ns=[3000, 9000, 1000],
         )  # fmt: skip
         of_client = SimpleNamespace(depth=4, held=3, frames=6, dropped=5)

@@ -295,7 +295,15 @@ def touched(request: rq.Request, scene: Scene = SCENE) -> set[tuple[str | None, 
 
 # by the flags of an OPEN: the role that it takes; all others are no OPEN
 WINDOWS = {8 | write | exclusive | wait for write in (0, 1) for exclusive in (0, 16) for wait in (0, 32)}
-ROLES = {0: "observe", 1: "operate", 2: "observe", 4: "operate", 64: "observe", **dict.fromkeys(WINDOWS, "map")}
+ROLES = {
+    0: "observe",
+    1: "operate",
+    2: "observe",
+    4: "operate",
+    64: "observe",
+    128: "operate",
+    **dict.fromkeys(WINDOWS, "map"),
+}
 
 
 @pytest.mark.parametrize("role", Role)
@@ -422,6 +430,7 @@ def test_what_a_mode_says_of_a_stream_counts_before_what_the_configuration_says(
     [
         (Open("camera"), Need(Role.OBSERVE, "data", "camera", "prr0", data="camera")),
         (Open("to_pl", Purpose.WRITE), Need(Role.OPERATE, "data", "camera", "prr1", data="to_pl")),
+        (Open("camera", Purpose.TRANSFER), Need(Role.OPERATE, "data", "camera", "prr0", data="camera")),
         (Open("", Purpose.ECHO), Need(Role.OBSERVE, "data", "camera", "*", data="*")),
         (Open("", Purpose.ALLOCATE), Need(Role.OPERATE, "data", "camera", "*", data="*")),
         (Open("camera", Purpose.ALLOCATE), Need(Role.OPERATE, "data", "camera", "*", data="*")),

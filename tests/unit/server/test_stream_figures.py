@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 
-from cm.device.data_plane import StreamSetup
 from cm.server.streams import stream
 from cm.wire.messages.status import ErrorInfo
 
@@ -34,5 +33,7 @@ def test_a_median_is_in_the_middle_and_a_failed_transfer_is_told() -> None:
         (errno.EIO, False, f"Input/output error{more}"), (errno.EIO, True, "Input/output error"),
         (errno.ETIMEDOUT, False, "Connection timed out"), (0, False, None),
     ):  # fmt: skip
-        told = stream.transfer_error(SimpleNamespace(error=error), StreamSetup(write, 4096))  # type: ignore[arg-type]
-        assert told == (said and ErrorInfo("transfer_failed", f"a transfer of 4096 bytes failed: {said}"))
+        for came, after in ((0, ""), (4000, " after 4000")):
+            counts: Any = SimpleNamespace(error=error, asked=4096, came=came)
+            told = stream.transfer_error(counts, write)
+            assert told == (said and ErrorInfo("transfer_failed", f"a transfer of 4096 bytes failed{after}: {said}"))

@@ -59,9 +59,9 @@ WINDOWS = {8 | write | option for write in (0, 1) for option in (0, EXCLUSIVE, W
 @pytest.mark.parametrize("flags", range(256))
 def test_an_open_has_exactly_one_purpose(flags: int) -> None:
     packet = plane.Descriptor(kind=plane.OPEN, flags=flags).pack()
-    if flags in {0, 1, 2, 4, 64, *WINDOWS}:
+    if flags in {0, 1, 2, 4, 64, 128, *WINDOWS}:
         wanted = plane.decode_open(packet)
-        assert wanted == Open("", Purpose(flags & 79), exclusive=bool(flags & EXCLUSIVE), wait=bool(flags & WAIT))
+        assert wanted == Open("", Purpose(flags & 207), exclusive=bool(flags & EXCLUSIVE), wait=bool(flags & WAIT))
         assert plane.encode_open(wanted) == packet
     else:
         with pytest.raises(InvalidRequest, match=r"has one purpose|only a window"):
