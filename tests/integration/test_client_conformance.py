@@ -688,9 +688,10 @@ TWINS: list[tuple[type, type]] = [
     (stream.Stream, aio_stream.Stream),
     (writer.Writer, aio_writer.AsyncWriter),
 ]
-# For mappings, for event loops, for what a thread has to do itself, and blocks, whose accesses are not awaited.
+# For mappings, for event loops, for what a thread has to do itself; blocks, whose accesses are not awaited, and
+# transfers, whose descriptor an event loop watches.
 ONLY = {
-    "Board": {"blocks"},
+    "Board": {"blocks", "transfers"},
     "Registers": {"clear", "items", "keys", "pop", "popitem", "setdefault", "update", "values"},
     "Memories": {"get", "items", "keys", "values"},
     "EventStream": {"open"},
