@@ -152,6 +152,7 @@ def _check_stated(project: Project, spec: ModuleSpec, info: ModuleInfo) -> None:
     named = [(("clocks", port), port, "port", ports) for port in spec.clocks]
     named += [(("clocks", port), bus, "interface", buses) for port, given in spec.clocks.items() for bus in given]
     named += [(("resets", port), port, "port", ports) for port in spec.resets]
+    named += [(("interrupts", port), port, "port", ports) for port in spec.interrupts or ()]
     clocks = [clock.port for clock in info.clocks]
     named += [(("resets", port), clock, "clock", clocks) for port, (clock, _) in spec.resets.items() if clock]
     for key, name, kind, known in named:
@@ -178,7 +179,7 @@ def _sources(spec: ModuleSpec, protocols: tuple[UserProtocol, ...]) -> Sources:
         protocols=protocols,
         libraries={} if simulated else spec.libraries,
         interface_parameters={port: _texts(values) for port, values in spec.interface_parameters.items()},
-        stated=Stated(spec.clocks, resets, spec.streams),
+        stated=Stated(spec.clocks, resets, spec.streams, spec.interrupts),
     )
 
 

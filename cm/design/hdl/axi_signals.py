@@ -190,6 +190,7 @@ def other_buses() -> tuple[Protocol, ...]:
     spelled = {"valid": "valid", "vld": "valid", "ready": "ready", "rdy": "ready"}
     return (
         make_protocol("Wishbone", [*_marks("cyc stb", _OUT), *_marks("ack", _IN)]),
+        make_protocol("Wishbone", _marks("cyc stb", _OUT)),
         *(make_protocol("Wishbone", [*_marks(name, _OUT), *_marks("ack", _IN)]) for name in ("cyc", "stb")),
         make_protocol("APB", _marks("psel penable", _OUT)),
         make_protocol("AHB", _marks("haddr htrans", _OUT)),

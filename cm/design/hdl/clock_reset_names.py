@@ -17,7 +17,9 @@ def _words(text: str) -> frozenset[str]:
 
 
 _CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
-_CLOCK = re.compile(r"(?!sclk)(?:[a-z0-9]{0,12}clk|[a-z]?clock|ck)(?:in|i|x|p|n|ref)?(?:\d+(?:m|mhz|k|khz)?)?[a-z]?")
+_CLOCK = re.compile(
+    r"(?!sclk)(?:[a-z0-9]{0,12}(?:clk|clock)|(?:ref|sys|mem|pix|gt)?ck)(?:in|i|x|p|n|ref)?(?:\d+(?:m|mhz|k|khz)?)?[a-z]?"
+)
 REGION_CLOCK = "aclk"  # of several clock ports of a region, the one that gets its clock without a word
 # what is left of a word that says clock or reset: pixclk → pix, clk100 → 100; a (of AMBA's aclk) says nothing
 _CLOCK_CORE = re.compile(
@@ -27,7 +29,7 @@ _RESET_CORE = re.compile(r"n?(?P<before>[a-z0-9]{0,12}?)(?:rst|reset|arest)(?:n|
 _SHORT = {"w": "wr", "write": "wr", "r": "rd", "read": "rd", "pixel": "pix", "video": "vid", "source": "src"}
 _NOT_CLOCK = _words(
     "en ena enable ce cen sel select div divider valid cnt count locked lock req ack ok stop stopped gate "
-    "gated good bad loss lost edge rise fall rate period freq frequency dis disable active status mux phase "
+    "gated stopstate good bad loss lost edge rise fall rate period freq frequency dis disable active status mux phase "
     "src stall err error override bypass polarity pol invert inv mode force test"
 )
 _ENABLES = frozenset(("en", "ena", "enable", "cen"))  # `ce` before clk is a name: ce_clk
@@ -36,15 +38,27 @@ _RESET = re.compile(  # first, burst, preset are other words, as is what a trans
     r"(?P<n1>n)?[a-z0-9]{0,12}?(?:rst|reset|arest)(?P<n2>n|b|_n)?(?:[ac-h]|\d+(?:m|mhz|k|khz)?)?"
 )
 _NOT_RESET = _words(
-    "done cnt count busy req request ack ok en enable val value active status vector addr count time code data wstb stb"
+    "done cnt count busy req request ack ok en enable val value active status vector addr count time code data wstb stb "
+    "ival oval mon monitor"
 )
-_LOW_WORDS = frozenset(("n", "b", "ni", "bar", "l"))
+_LOW_WORDS = frozenset(("n", "b", "ni", "na", "bar", "l"))
 _IO_WORDS = frozenset(("i", "o", "in", "out"))
-_INTERRUPT = re.compile(r"(?:irq|interrupt|interrupts|intr|intrpt|itrpt|introut|irpt|irqs)\d*")
+_INTERRUPT = re.compile(r"[a-z0-9]*?(?:irq|interrupt|intr|intrpt|itrpt|introut|irpt)(?:s|n)?\d*")
 _INT = re.compile(r"int\d*")
-_NOT_INTERRUPT = _words(
-    "en enable mask clr clear ack pending status id num sel vector count cnt level valid trace ip addr code type cause "
-    "prio priority edge polarity test force mode data ready cfg trigger triggers event events sent fail clk ext"
+_NUMBERED = re.compile(r"(?:ch|lane|core|hart|port|array|lines?|req|request)\d*")
+# what sets, clears or handles an interrupt, wherever the word stands
+_HANDLES = _words(
+    "en ena enable enabled mask masked clr clear ack trace sel select addr test force set inhibit take taken disable "
+    "dis dsbl allow block ignore handle halt stall flush kill suppress cfg config reg trigger triggers clk"
+)
+# what comes of one, behind the word: its number, its state
+_OF_INTERRUPT = _words(
+    "pending status state id num vector vec count cnt level valid ip code type cause prio priority edge polarity mode "
+    "data ready event events sent fail"
+)
+_LINES = _words("mtip msip meip seip stip ssip xeip ipi")  # RISC-V's, which are also bits of registers
+_CAUSES = _words(  # before `int`, which is short for many things, in an input's name
+    "ext timer tmr cpu core sys hw sw soft dma gpio uart spi i2c eth usb pci pcie phy mac host global periph peripheral"
 )
 # words of a reset's name that say whose it is; any other, beside a plain reset, makes it a control
 _WHOSE = _words("sys core cpu peripheral interconnect axi axis ap por ext aux global glbl hard hw async sync main")
@@ -79,7 +93,7 @@ def drives_clock(port: Port) -> bool:
 
 def is_reset(port: Port) -> bool:
     """Whether a port is a one-bit input named like a reset."""
-    return is_wire(port) and _says(port.name, _RESET, _NOT_RESET)
+    return is_wire(port) and _says(port.name, _RESET, _NOT_RESET) and words(port.name)[0] != "do"
 
 
 def _says(name: str, pattern: re.Pattern[str], other: frozenset[str]) -> bool:
@@ -87,6 +101,11 @@ def _says(name: str, pattern: re.Pattern[str], other: frozenset[str]) -> bool:
     found = words(name)
     place = next((number for number, word in enumerate(found) if pattern.fullmatch(word)), None)
     return place is not None and not other & set(found[place + 1 :]) and not _ENABLES & set(found)
+
+
+def says_enable(name: str) -> bool:
+    """Whether a name is that of an enable, which may hold registers in reset while it is low."""
+    return any(word in _ENABLES or word.endswith("en") for word in words(name))
 
 
 def reset_polarity(name: str) -> Polarity:
@@ -110,18 +129,40 @@ def is_control(name: str, resets: Sequence[str], clocks: Sequence[str]) -> bool:
     return others and bool(own) and not ({*own} & (_WHOSE | {*clock_domains(tuple(clocks))[clocks[0]]}))
 
 
-def interrupt_mode(port: Port) -> Mode | None:
-    """Return MASTER for an output named like an interrupt, SLAVE for such an input, None for any other port."""
-    found = words(port.name)
-    if _NOT_INTERRUPT & set(found) or not _says_interrupt(found) or says_clock(port.name):
-        return None
-    return {PortDirection.OUT: Mode.MASTER, PortDirection.IN: Mode.SLAVE}.get(port.direction)
+def says_what(name: str, clocks: Sequence[str]) -> bool:
+    """Whether a name says what is reset (`reset_frame`, `rst_stats`), and not whose reset it is (`reset_sys_n`)."""
+    found = words(name)
+    place = next((number for number, word in enumerate(found) if _RESET.fullmatch(word)), None)
+    whose = (
+        _WHOSE | _LOW_WORDS | _IO_WORDS | {word for domain in clock_domains(tuple(clocks)).values() for word in domain}
+    )
+    return place is not None and any(len(word) > 2 and word.isalpha() for word in {*found[place + 1 :]} - whose)
 
 
-def _says_interrupt(found: Sequence[str]) -> bool:
-    """`int` is short for many things: it counts only as the last word."""
-    last = next((word for word in reversed(found) if word not in _IO_WORDS and not word.isdigit()), "")
-    return any(_INTERRUPT.fullmatch(word) for word in found) or bool(_INT.fullmatch(last))
+def interrupt_mode(port: Port) -> tuple[Mode, bool] | None:
+    """MASTER for an output named like an interrupt, SLAVE for such an input, and whether the name leaves no doubt."""
+    mode = {PortDirection.OUT: Mode.MASTER, PortDirection.IN: Mode.SLAVE}.get(port.direction)
+    sure = None if mode is None else _says_interrupt(words(port.name), mode is Mode.MASTER, port.width == 1)
+    return None if mode is None or sure is None or says_clock(port.name) else (mode, sure)
+
+
+def _says_interrupt(found: Sequence[str], output: bool, line: bool) -> bool | None:
+    """Whether a name is surely an interrupt's; None if nothing in it says so.
+
+    It is if the word is the last (`rx_valid_irq`), or the first and a cause follows (`intr_rx_done`); words between
+    others leave a doubt (`irq_ctrl_load`, `dsc_irq_arm`).
+    """
+    inner = [word for word in found if word not in _IO_WORDS and not word.isdigit()]
+    places = [number for number, word in enumerate(inner) if _INTERRUPT.fullmatch(word)]
+    if places:
+        behind = [word for word in inner[places[-1] + 1 :] if len(word) > 1 and not _NUMBERED.fullmatch(word)]
+        if _HANDLES & {*inner} or _OF_INTERRUPT & {*behind[:1]}:
+            return None
+        return not behind or (places[0] == 0 and behind[-1] not in _OF_INTERRUPT)
+    last = inner[-1] if inner else ""
+    if line and _INT.fullmatch(last):
+        return None if _HANDLES & {*inner} else output or len(inner) == 1 or bool(_CAUSES & {*inner[:-1]})
+    return False if line and _LINES & {*inner[-1:]} else None
 
 
 @lru_cache(maxsize=64)

@@ -16,6 +16,9 @@ from cm.design.hdl.clock_reset_names import (
     is_reset,
     is_wire,
     named_low,
+    reset_domains,
+    says_enable,
+    says_what,
 )
 from cm.design.hdl.group_ports import Candidate, candidates
 from cm.design.hdl.model import (
@@ -55,7 +58,7 @@ def detect(
 
     `uses`: what the sources do with its ports, in lower case if VHDL; it is asked where names leave a question.
     """
-    return _Detection(vivado_attributes.with_statements(module, stated), protocols, uses).result(stated.streams)
+    return _Detection(vivado_attributes.with_statements(module, stated), protocols, uses).result(stated)
 
 
 class _Detection:
@@ -75,7 +78,7 @@ class _Detection:
         self._asked: tuple[str, ...] = ()
         self._source, self._uses = uses, dict[str, PortUse]()
 
-    def result(self, streams: Sequence[str] | None) -> ModuleInfo:
+    def result(self, stated: Stated) -> ModuleInfo:
         """Everything that is found; what has valid, data and acknowledge is a stream if its name is in `streams`."""
         module = self._module
         self._bind()
@@ -86,13 +89,13 @@ class _Detection:
             self._by_name(protocol, FoundBy.NAME)
         for user in self._user:
             self._by_name(user.protocol, FoundBy.PROTOCOL_FILE)
-        self._by_statement(plain_stream(), streams)
+        self._by_statement(plain_stream(), stated.streams)
         self._name_others()
         if not self._plain(tagged):
             self._uses = {port.lower(): use for port, use in self._source().items()}
         clocks = [*tagged.clocks, *self._clocks()]
         resets = (*tagged.resets, *self._resets(clocks))
-        interrupts = (*tagged.interrupts, *self._interrupts())
+        interrupts = (*tagged.interrupts, *(self._interrupts() if stated.interrupts is None else ()))
         driven = [port for port in self._free.values() if drives_clock(port)]
         candidates = named_after([port.name for port in driven], self._interfaces, [clock.port for clock in clocks])
         self._take(candidates)
@@ -234,7 +237,8 @@ class _Detection:
 
     def _with_data(self, found: Candidate) -> Candidate:
         """With the data that a stream is called after: `tag`, `tag_valid`, `tag_ready`."""
-        data = next((port for port in self._unrejected() if port.name.lower() == found.name.lower()), None)
+        own = {found.name.lower(), *(f"{found.name.lower()}_{way}" for way in ("i", "o", "in", "out"))}
+        data = next((port for port in self._unrejected() if port.name.lower() in own and not is_wire(port)), None)
         return found if data is None or "TDATA" in found.ports else replace(found, ports={**found.ports, "TDATA": data})
 
     def _name_others(self) -> None:
@@ -262,8 +266,9 @@ class _Detection:
         `Out_RstIn` is the reset of that side.
         """
         for port in self._free.values():
-            rest = port.name[len(stream.name) :].strip("_").split("_")
-            if port.name.lower().startswith(f"{stream.name.lower()}_") and is_reset(port) and len(rest) > 1:
+            if not port.name.lower().startswith(f"{stream.name.lower()}_") or not is_reset(port):
+                continue
+            if reset_domains((port.name[len(stream.name) :],), ())[port.name[len(stream.name) :]]:
                 self._reasons[port.name] = f"goes with the stream {stream.name}"
 
     def _reject(self, candidate: Candidate, reason: str) -> None:
@@ -310,14 +315,18 @@ class _Detection:
             for port in ports
             if self._use(port.name).reset
             or levels[port.name] is Polarity.LOW
-            or not is_control(port.name, names, inputs)
+            or not (is_control(port.name, names, inputs) or self._sampled(port.name, inputs))
         ]
         self._take(port.name for port in found)
         return [Reset(port.name, port.name, levels[port.name]) for port in found]
 
+    def _sampled(self, name: str, clocks: Sequence[str]) -> bool:
+        """Whether registers take it at a clock's edges, none is reset by it, and its name says what it is for."""
+        return bool(self._use(name).clocks) and says_what(name, clocks)
+
     def _is_reset(self, port: Port) -> bool:
         use = self._use(port.name)
-        return use.asynchronous and use.reset is not None
+        return use.asynchronous and not says_enable(port.name)
 
     def _polarity(self, port: Port, resets: Sequence[str], clocks: Sequence[str]) -> Polarity:
         named = Polarity.LOW if named_low(port.name, resets, clocks) else Polarity.HIGH
@@ -326,11 +335,15 @@ class _Detection:
 
     def _interrupts(self) -> list[Interrupt]:
         names = {port.name.lower() for port in self._module.ports}
-        found = [
-            (port, mode)
+        named = [
+            (port, *said)
             for port in self._unrejected()
-            if (mode := interrupt_mode(port)) and not _beside(port.name, "int", "ext", names)
+            if (said := interrupt_mode(port)) and not _beside(port.name, "int", "ext", names)
         ]
+        for port in (port for port, _, sure in named if not sure):
+            line = f"interrupts: [{port.name}] in the module, with all that are, if it is one"
+            self._reasons[port.name] = f"{LIKE}an interrupt: {line}"
+        found = [(port, mode) for port, mode, sure in named if sure]
         self._take(port.name for port, _ in found)
         return [
             Interrupt(port.name, port.name, mode, port.width, vivado_attributes.parameters(port).get("SENSITIVITY", ""))

@@ -178,11 +178,13 @@ class Stated:
 
     `clocks`: port → the interfaces on it; `resets`: port → its clock and its polarity, each None if not said;
     `streams`: which of those with valid, data and acknowledge are streams, by the names of their ports; None: not said.
+    `interrupts`: the ports that are interrupts, and no others; None: not said.
     """
 
     clocks: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: MappingProxyType({}))
     resets: Mapping[str, tuple[str | None, Polarity | None]] = field(default_factory=lambda: MappingProxyType({}))
     streams: tuple[str, ...] | None = None
+    interrupts: tuple[str, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)

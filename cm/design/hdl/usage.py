@@ -41,8 +41,12 @@ _VALUE = re.compile(r"<=\s*(?:#\s*\w+\s*)?([^;]+);")
 _VARIABLE = re.compile(r"(?<!['\w.])[a-z]\w*")
 
 _PROCESS = re.compile(r"\bprocess\b(.*?)\bend\s+process\b", re.DOTALL)
-_RISING = re.compile(r"\b(rising|falling)_edge\s*\(\s*(\w+)\s*\)|\b(\w+)\s*'\s*event\s+and\s+\w+\s*=\s*'([01])'")
-_TESTED = re.compile(r"\bif\s*\(?\s*(\w+)\s*=\s*'([01])'\s*\)?\s*then(.*?)(?:\belsif\b|\belse\b|\bend\b|\Z)", re.DOTALL)
+_RISING = re.compile(
+    r"\b(rising|falling)_edge\s*\(\s*(\w+)\s*\)|\b(\w+)\s*'\s*event\s+and\s+\w+\s*=\s*(?:'([01])'|\w+)"
+)
+_TESTED = re.compile(
+    r"\bif\s*\(?\s*(\w+)\s*=\s*(?:'([01])'|\w+)\s*\)?\s*then(.*?)(?:\belsif\b|\belse\b|\bend\b|\Z)", re.DOTALL
+)
 _SAME = re.compile(r"(?m)^\s*(\w+)\s*<=\s*(not\s+)?(\w+)\s*;")
 _MAPPED = re.compile(
     r":\s*(?:entity\s+\w+\.|component\s+)?(\w+)\s+(?:generic\s+map\b[^;]*?)?port\s+map\s*\(([^;]*)\)\s*;"
@@ -58,7 +62,8 @@ class Body:
     """What one module does itself, by signal: in `steps`, a clock and the words of what happens at its edges."""
 
     steps: tuple[tuple[str, frozenset[str]], ...] = ()
-    resets: tuple[tuple[str, Polarity, str, bool], ...] = ()  # signal, level, clock, and whether it is asynchronous
+    # signal, level (None: that of a constant), clock, and whether it is asynchronous
+    resets: tuple[tuple[str, Polarity | None, str, bool], ...] = ()
     copies: tuple[tuple[str, bool, str], ...] = ()  # a signal that is another one, perhaps inverted
     instances: tuple[Pins, ...] = ()
     members: tuple[tuple[str, str], ...] = ()  # an interface or a record and another signal, in either order
@@ -116,9 +121,10 @@ def vhdl_body(text: str) -> Body:
         steps.append((clock, frozenset(_WORD.findall(process))))
         for match in _TESTED.finditer(process):
             before = match.end() <= edges[0].start()
-            level = Polarity.HIGH if match[2] == "1" else Polarity.LOW
-            if before or _SAYS_RESET.search(match[1]):
-                resets.append((match[1], level, clock, before))
+            around = match.start(3) <= edges[0].start() < match.end(3)  # what is reset stands behind `else`
+            level = {"1": Polarity.HIGH, "0": Polarity.LOW}.get(match[2])
+            if before or (level and _SAYS_RESET.search(match[1])):
+                resets.append((match[1], level and _turned(level, around), clock, before or around))
     copies = tuple((one, bool(turned), other) for one, turned, other in _SAME.findall(text))
     instances = tuple(
         (unit, {port: (signal, bool(turned)) for port, turned, signal in _PIN.findall(pins)})
@@ -150,7 +156,8 @@ def _by_names(pins: tuple[str, ...]) -> Mapping[str, PortUse]:
     clocks = tuple(pin for pin in pins if says_clock(pin))
     domains = {clock: "_".join(words) for clock, words in clock_domains(clocks).items()}
     fits = {pin: best_fit(pin, domains) if len(clocks) > 1 else clocks[0] for pin in pins if clocks}
-    used = {pin: PortUse(clocks=(clock,)) for pin, clock in fits.items() if clock and pin not in clocks}
+    others = {pin: clock for pin, clock in fits.items() if clock and "clk" not in pin.lower()}  # CLKDIV may be a clock
+    used = {pin: PortUse(clocks=(clock,)) for pin, clock in others.items()}
     return used | {clock: PortUse(clock=True) for clock in clocks}
 
 
@@ -222,12 +229,12 @@ class _Ports:
         if name in self._origin:
             self._at(self._origin[name][0]).clock = True
 
-    def _reset(self, name: str, level: Polarity, clocks: Iterable[str], asynchronous: bool) -> None:
+    def _reset(self, name: str, level: Polarity | None, clocks: Iterable[str], asynchronous: bool) -> None:
         if name not in self._origin:
             return
         port, turned = self._origin[name]
         found = self._at(port)
-        found.levels.add(_turned(level, turned))
+        found.levels |= {_turned(level, turned)} if level else set()
         found.asynchronous |= asynchronous
         for clock in clocks:
             self._runs(port, clock)

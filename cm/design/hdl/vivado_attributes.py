@@ -95,6 +95,7 @@ def with_statements(module: ModuleInfo, stated: Stated) -> ModuleInfo:
             text = f"ASSOCIATED_RESET {':'.join(mine)}"
             known = said.setdefault(clock.lower(), ("clock", []))[1]
             known += [text] if text not in known else []
+    said |= {port.lower(): ("interrupt", []) for port in stated.interrupts or ()}
     ports = (_said(port, *said[port.name.lower()]) if port.name.lower() in said else port for port in module.ports)
     return replace(module, ports=tuple(ports))
 
@@ -112,7 +113,7 @@ def with_buses(module: ModuleInfo, described: ModuleInfo) -> ModuleInfo:
 
 
 def _said(port: Port, kind: str, texts: list[str]) -> Port:
-    signal = {"clock": "CLK", "reset": "RST"}[kind]
+    signal = {"clock": "CLK", "reset": "RST", "interrupt": "INTERRUPT"}[kind]
     info = f"xilinx.com:signal:{kind}:1.0 {port.name} {signal}"
     mine = {"x_interface_info": info, **port.attributes}
     if not texts:

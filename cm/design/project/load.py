@@ -303,7 +303,7 @@ class _Builder:
             "memories": memories(spec),
             "clocks": {key: tuple((one or {}).get("interfaces", ())) for key, one in spec.get("clocks", {}).items()},
             "resets": {key: (one.get("clock"), one.get("polarity")) for key, one in spec.get("resets", {}).items()},
-            "streams": tuple(spec["streams"]) if "streams" in spec else None,
+            **{key: tuple(spec[key]) if key in spec else None for key in ("streams", "interrupts")},
             "resources": Resources(**spec.get("resources", {})),
         }
         plain = {key: value for key, value in spec.items() if not key.startswith("core") and key != "register_map"}

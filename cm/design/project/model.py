@@ -126,6 +126,7 @@ class ModuleSpec:
     streams: tuple[str, ...] | None = (
         None  # which of those with valid, data and acknowledge are streams; None: not said
     )
+    interrupts: tuple[str, ...] | None = None  # the ports that are; None: not said
     resources: Resources = Resources()
     relocatable: bool = False  # open flow: made for the first region, and moved to the others
     doc: str = ""

@@ -105,11 +105,20 @@ def test_the_side_of_a_stream_may_be_a_letter(tmp_path: Path) -> None:
     assert ports(tmp_path, text).asked == ("i", "o")
 
 
-def test_a_reset_with_the_name_of_a_stream_is_that_of_its_side(tmp_path: Path) -> None:
-    text = "input In_Clk; input In_RstIn; input In_Meta_rst; input [7:0] In_Data; input In_Valid; output In_Ready"
+@pytest.mark.parametrize("reset", ["In_RstIn", "In_rst_n", "In_rst_ni"])
+def test_a_reset_with_the_name_of_a_stream_is_that_of_its_side(reset: str, tmp_path: Path) -> None:
+    text = f"input In_Clk; input {reset}; input In_Meta_rst; input [7:0] In_Data; input In_Valid; output In_Ready"
     found = ports(tmp_path, text)
-    assert [(reset.port, reset.clock) for reset in found.resets] == [("In_RstIn", "In_Clk")]
+    assert [(item.port, item.clock) for item in found.resets] == [(reset, "In_Clk")]
     assert "goes with the stream In" in [left.reason for left in found.leftovers]
+
+
+def test_a_stream_called_after_its_data_may_have_affixes_of_direction(tmp_path: Path) -> None:
+    found = ports(tmp_path, "output [7:0] digest_o; output digest_valid_o; input clk")
+    assert {left.port for left in found.leftovers if "a stream without ready" in left.reason} == {
+        "digest_o",
+        "digest_valid_o",
+    }
 
 
 def test_channels_of_a_bus_that_is_none_are_no_streams(tmp_path: Path) -> None:
@@ -146,6 +155,7 @@ def test_two_sides_whose_affixes_show_directions_are_two_streams(tmp_path: Path)
 
 
 NAMED = {
+    "wbm_cyc_i wbm_stb_i": "Wishbone",
     "wbs_cyc_i wbs_stb_i wbs_ack_o": "Wishbone",
     "wb_ibus_cyc_o wb_ibus_ack_i": "Wishbone",
     "m_axis_tvalid_i m_axis_tlast_i": "it has neither data nor ready",

@@ -12,7 +12,7 @@ pytest.importorskip("tree_sitter_vhdl")
 
 from hdl_support import lite, module, ports, stream
 
-from cm.design.hdl.model import ModuleInfo, Polarity, PortDirection
+from cm.design.hdl.model import ModuleInfo, Polarity, PortDirection, Stated
 
 
 def told(found: ModuleInfo) -> str:
@@ -33,6 +33,10 @@ NAMED = [
     ("clk soft_reset", "clk soft_reset+clk"),
     ("clk rst_i set_i", "clk"),
     ("clkref tx_arestn", "clkref tx_arestn-clkref"),
+    ("i_refck outclock pll_lock", "i_refck outclock"),
+    ("clock pin_TRST_n_i_ival", "clock"),
+    ("clk do_rst reset_na blk_reset_mon", "clk reset_na-clk"),
+    ("clk aClkStopstate", "clk"),
     ("clka clkb rsta rstb", "clka clkb rsta+clka rstb+clkb"),
     ("clk first_bit burst_len gt_prbscntreset qpllreset", "clk qpllreset+clk"),
     ("gt0_qplloutrefclk spi_sclk rxusrclk2", "gt0_qplloutrefclk rxusrclk2"),
@@ -46,11 +50,68 @@ def test_names_say_which_inputs_are_clocks_and_resets(names: str, wanted: str, t
     assert told(ports(tmp_path, "; ".join(f"input {name}" for name in names.split()))) == wanted
 
 
-def test_counters_vectors_and_traces_of_interrupts_are_none(tmp_path: Path) -> None:
-    outputs = "trace_interrupt_ip interrupt_count_o irq_vector_valid cfg_irq_level irq_uart"
-    outputs += " cfg_interrupt_msi_sent clk_int_o blowoff_int blowoff_ext irq_events"
-    found = ports(tmp_path, "; ".join(f"output {name}" for name in outputs.split()) + "; input clk")
-    assert [interrupt.port for interrupt in found.interrupts] == ["irq_uart"]
+INTERRUPTS = {
+    "sure": "irq_uart ext_irq_r:i ext_irq_a intr_tx_req_done_o hart0_timerirq:i irq_n irq_ch1 rx_valid_irq "
+    "i_timer_int:i int_i:i IRQ_write irqs:8:i irq_0",
+    "asked": "dsc_irq_late side_irq_support_o irq_lost_event sleep_int:i mtip_o pulse_ipi",
+    "none": "trace_interrupt_ip interrupt_count_o irq_vector_valid cfg_irq_level cfg_interrupt_msi_sent clk_int_o "
+    "blowoff_int+blowoff_ext irq_events take_interrupt:i interrupt_inhibit_o irq_dsbl dat_int0:16 clr_int:8:i int_a:i",
+}
+
+
+@pytest.mark.parametrize(
+    ("kind", "item"), [(kind, item) for kind, items in INTERRUPTS.items() for item in items.split()]
+)
+def test_a_name_is_surely_an_interrupts_or_leaves_a_doubt_or_says_none(kind: str, item: str, tmp_path: Path) -> None:
+    names, *more = item.split(":")
+    way = "input" if more[-1:] == ["i"] else "output"
+    bits = f"[{int(more[0]) - 1}:0] " if more[:1] and more[0].isdigit() else ""
+    found = ports(tmp_path, "; ".join(f"{way} {bits}{name}" for name in names.split("+")) + "; input clk")
+    asked = [left.port for left in found.leftovers if "interrupts: [" in left.reason]
+    assert [kind] == (["sure"] * len(found.interrupts) + ["asked"] * len(asked) or ["none"])
+
+
+PROCESSES = {
+    "if res = ACTIVE then q <= '0'; elsif clk'event and clk = EDGE then q <= d; end if;": "clk res+clk",
+    "if rstn = '1' then if rising_edge(clk) then q <= d; end if; else q <= '0'; end if;": "clk rstn-clk",
+    "if rst = '1' then if rising_edge(clk) then q <= d; end if; else q <= '0'; end if;": "clk rst-clk",
+    "if load_en = '1' then q <= '0'; elsif rising_edge(clk) then q <= d; end if;": "clk",
+}
+
+
+@pytest.mark.parametrize(("process", "wanted"), PROCESSES.items())
+def test_a_process_says_what_resets_it_before_or_around_its_edge(process: str, wanted: str, tmp_path: Path) -> None:
+    name = process.split()[1]
+    head = f"entity e is port (clk, {name}, d : in std_logic; q : out std_logic); end e;"
+    body = f"architecture a of e is begin p: process (clk, {name}) begin {process} end process p; end a;"
+    assert told(module(tmp_path, f"library ieee; use ieee.std_logic_1164.all; {head} {body}", "e.vhd")) == wanted
+
+
+def test_a_clock_of_a_primitive_that_is_not_given_is_no_signal_of_another_clock(tmp_path: Path) -> None:
+    pins = ".CLK(clk), .CLKDIV(div_clk), .D(d), .Q(q)"
+    head = "module m(input clk, input div_clk, input d, output q);"
+    assert told(module(tmp_path, f"{head} OUT_SERDES s({pins}); endmodule", "m.v")) == "clk div_clk"
+
+
+def test_the_build_schema_says_which_ports_are_interrupts(tmp_path: Path) -> None:
+    text = "output irq_uart; output late; output dsc_irq_arm_late; input clk"
+    found = ports(tmp_path, text, stated=Stated(interrupts=("late",)))
+    assert [(one.port, one.width) for one in found.interrupts] == [("late", 1)]
+    assert ports(tmp_path, text, stated=Stated(interrupts=())).interrupts == ()
+
+
+def test_an_enable_that_holds_registers_is_no_reset(tmp_path: Path) -> None:
+    text = "always @(posedge clk or negedge cfg_en) if (!cfg_en) q <= 0; else q <= q + 1;"
+    found = module(tmp_path, f"module m(input clk, input cfg_en, output reg [7:0] q); {text} endmodule", "m.v")
+    assert told(found) == "clk"
+
+
+def test_what_registers_only_sample_is_no_reset_if_its_name_says_what_for(tmp_path: Path) -> None:
+    text = "always @(posedge clk) begin was <= reset_frame; if (was && ~reset_frame) q <= 0; end"
+    head = "module m(input clk, input reset_frame, output reg [7:0] q); reg was; "
+    assert told(module(tmp_path, f"{head}{text} endmodule", "m.v")) == "clk"
+    tested = text.replace("was && ~reset_frame", "reset_frame")
+    assert told(module(tmp_path, f"{head}{tested} endmodule", "m.v")) == "clk reset_frame+clk"
 
 
 def test_a_stream_runs_on_a_clock_that_the_module_drives_if_that_has_its_name(tmp_path: Path) -> None:
