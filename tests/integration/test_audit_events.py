@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 
 import pytest
-from manager_process import Manager, served
+from manager_process import Manager
 
 from cm.client.board import Board
 from cm.client.errors import RequestFailed
@@ -19,20 +19,6 @@ from cm.wire.messages import requests as rq
 from cm.wire.messages.status import Audit, Status
 
 Told = Callable[[int], list[Audit]]
-
-
-@pytest.fixture(scope="module")
-def manager() -> Iterator[Manager]:
-    with served() as (made, _):
-        with made.connected() as board:
-            board.load("camera", "default")
-        yield made
-
-
-@pytest.fixture
-def board(manager: Manager) -> Iterator[Board]:
-    with manager.connected() as connected:
-        yield connected
 
 
 @pytest.fixture

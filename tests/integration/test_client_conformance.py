@@ -725,17 +725,6 @@ def parameters(function: Any) -> list[tuple[str, Any, Any]]:
     return [(p.name, p.kind, p.default) for p in found]
 
 
-def test_every_public_method_of_a_board_is_tried_here_or_where_requests_are() -> None:
-    requests = Path(__file__).parents[1] / "unit/client/test_client_requests.py"
-    text = Path(__file__).read_text(encoding="utf-8") + requests.read_text(encoding="utf-8")
-    names = {(owner.__name__, name) for owner, _ in TWINS for name in public(owner)}
-    beyond = {("Board", n) for n in ("ask", "run", "subscribe", "timeout")}
-    beyond |= {(owner, name) for owner, only in ONLY.items() for name in only}
-    beyond |= {("Writer", n) for n in ("end", "free", "geometry", "name")} | {("Stream", "close")}
-    missing = {f"{owner}.{name}" for owner, name in names - beyond if f".{name}" not in text}
-    assert not missing
-
-
 # ---- what only one of them has --------------------------------------------------------------------
 
 
@@ -830,9 +819,3 @@ print("done")
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120, check=False)
     assert (done.returncode, done.stdout) == (0, "done\n"), done.stderr
-
-
-def test_the_asyncio_client_is_a_module_of_its_own() -> None:
-    import cm.aio
-
-    assert cm.aio.connect is awaited.connect

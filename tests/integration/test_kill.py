@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import asyncio
 import os
-import random
 import resource
 import signal
 import subprocess
@@ -194,23 +193,3 @@ def test_a_manager_that_is_stopped_while_its_board_starts_stops_the_board_too(ru
         served.communicate(timeout=120)  # the board has the same output open, too
         assert served.returncode == 0
     assert not (runtime / "run/board").exists()
-
-
-def test_a_manager_killed_at_any_instant_of_a_change_comes_back_to_a_whole_mode(own: Own) -> None:
-    manager, sim = own
-    chance = random.Random(20)
-    modes = {"default": "default", "edge_detection": "edge"}
-    with manager.connected() as board:
-        board.load("camera", "default")
-    for _ in range(5):
-        with manager.connected() as board:
-            goal = next(mode for mode in modes if mode != board.mode)
-            board.load_async("camera", goal)
-            time.sleep(chance.uniform(0.0, 0.03))  # any instant will do
-            manager.kill()
-        manager.start()
-        with manager.connected() as board:
-            until(lambda board=board: not board.status.fpga_busy)
-            region = sim.control.state()["regions"]["prr0"]
-            assert (region["module"], region["decoupled"]) == (modes[board.mode], False)
-            assert board.status.pr_mode.value == "idle"

@@ -5,21 +5,12 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
 
 import pytest
-from manager_process import Manager, served
+from manager_process import Manager
 
 from cm.cli.main import main
 from cm.client.errors import RequestBusy, RequestNotFound
-
-
-@pytest.fixture(scope="module")
-def manager() -> Iterator[Manager]:
-    with served() as (made, _):
-        with made.connected() as board:
-            board.load("camera", "default")
-        yield made
 
 
 def test_leases_are_listed_without_their_ids_and_broken_by_number(

@@ -109,14 +109,6 @@ def test_a_board_that_is_closed_before_it_knows_the_connection_frees_it_too(
     assert type(_begun(lambda: OPENED[what](board))()) is BoardClosed
 
 
-def test_closing_a_board_frees_the_thread_that_waits_for_a_frame(silent: Silent) -> None:
-    board = Board(runtime_dir=silent.folder)
-    ended = _begun(lambda: board.stream("camera", timeout=None).read())
-    silent.asked().send(packets.Descriptor(kind=packets.STOPPED).pack())  # it is open, and its frames come later
-    board.close()
-    assert type(ended()) is BoardClosed
-
-
 @pytest.mark.parametrize("newest", [False, True])
 def test_a_board_that_is_closed_just_before_its_stream_looks_for_a_frame_is_closed(
     silent: Silent, newest: bool, monkeypatch: pytest.MonkeyPatch
