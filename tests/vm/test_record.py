@@ -23,15 +23,6 @@ def tree(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_three_boards_run_each_time_and_four_wait() -> None:
-    assert {name for name, tier in TIERS.items() if record.waits(tier)} == {
-        "custom",
-        "silicon-6.12",
-        "zynq",
-        "remote",
-    }
-
-
 def test_a_board_that_was_good_waits_until_a_source_changes(tree: Path) -> None:
     file, tier = tree / "good.json", TIERS["custom"]
     assert not record.unchanged_since(tier, file, tree)
@@ -57,13 +48,6 @@ def test_a_board_has_cases_of_its_own(tree: Path, name: str, waits: bool) -> Non
     record.good(TIERS[name], file, tree)
     (tree / "tests/vm/remote/file.c").write_text("after")
     assert bool(record.unchanged_since(TIERS[name], file, tree)) == waits
-
-
-def test_boards_are_noted_beside_each_other(tree: Path) -> None:
-    file = tree / "good.json"
-    for name in ("custom", "zynq"):
-        record.good(TIERS[name], file, tree)
-    assert all(record.unchanged_since(TIERS[name], file, tree) for name in ("custom", "zynq"))
 
 
 def test_one_that_runs_each_time_is_not_noted(tree: Path) -> None:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import re
 import sys
 import tarfile
 from pathlib import Path
@@ -15,11 +14,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 from vmboard import qemu, report
 from vmboard.arch import ARM64
 from vmboard.cache import Cache, digest
-from vmboard.errors import EXIT_MISSING, MissingError
+from vmboard.errors import EXIT_MISSING
 from vmboard.main import main
-from vmboard.pages import documented
-from vmboard.payload import closure
-from vmboard.shell import require, run
 
 CLEAN = """\
 [    0.000000] Linux version 6.1.192-cm
@@ -120,12 +116,6 @@ def test_the_hash_depends_on_names_and_contents(tmp_path: Path) -> None:
     assert digest(folder) != first
 
 
-def test_a_thing_is_built_once(tmp_path: Path) -> None:
-    cache, built = Cache(tmp_path), []
-    places = {cache.entry("thing", ["in"], built.append) for _ in range(2)}
-    assert built == list(places)
-
-
 def test_an_interrupted_build_is_done_again(tmp_path: Path) -> None:
     cache = Cache(tmp_path)
 
@@ -139,28 +129,6 @@ def test_an_interrupted_build_is_done_again(tmp_path: Path) -> None:
     assert sorted(path.name for path in place.iterdir()) == [".complete", "whole"]
 
 
-def test_old_things_go(tmp_path: Path) -> None:
-    cache = Cache(tmp_path)
-    for number in range(5):
-        cache.entry("thing", [str(number)], lambda place: None)
-    assert len(list(tmp_path.glob("thing-*"))) == 2
-
-
-def test_modules_are_loaded_after_what_they_need() -> None:
-    needs = {
-        "kernel/ext4.ko": ["kernel/jbd2.ko", "kernel/crc16.ko"],
-        "kernel/jbd2.ko": [],
-        "kernel/crc16.ko": [],
-        "kernel/other.ko": [],
-    }
-    assert closure(needs, ("ext4", "built_in")) == ["kernel/crc16.ko", "kernel/jbd2.ko", "kernel/ext4.ko"]
-
-
-def test_a_missing_program_is_named() -> None:
-    with pytest.raises(MissingError, match="no-such-program"):
-        require("no-such-program", "sh")
-
-
 def test_a_host_without_qemu_exits_distinctly(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -170,22 +138,6 @@ def test_a_host_without_qemu_exits_distinctly(
     assert "not installed: qemu-system-aarch64, depmod" in said
     assert "apt install" in said
     assert "kmod" in said
-
-
-def test_a_program_that_is_missing_when_it_is_run_is_named_with_its_package(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(MissingError, match=r"depmod \(apt install kmod;"):
-        run(["depmod", "-b", tmp_path, "6.1"])
-
-
-def test_the_pages_have_what_the_boards_owner_types() -> None:
-    sources = [path.read_text() for path in (Path(__file__).parent / "service").glob("*.py")]
-    asked = [found for text in sources for found in re.findall(r'documented\("([^"]+)", "([^"]+)"\)', text)]
-    assert len(asked) == 4
-    for page, marker in asked:
-        assert marker in documented(page, marker)
 
 
 _SILENT_ONCE = "if [ -e once ]; then echo Linux >console.log; echo passed >output.log; else >once; exec sleep 60; fi"
