@@ -18,11 +18,9 @@ from manager_support import Rig, rig
 
 from cm.errors import CmError
 from cm.formats.bitstream import assemble_module
-from cm.formats.bitstream.errors import Sha256Mismatch
 from cm.manager.errors import ChangeBusy, HeldBy, NothingLoaded, RegionBusy, UnknownConfig
 from cm.manager.execution.worker import Change
 from cm.manager.inputs import Image
-from cm.manager.loaders import Job, Loaders
 from cm.manager.state.board_state import OverlayState
 from cm.manager.state.journal import Pending
 from cm.schema import loads
@@ -493,30 +491,6 @@ def test_the_image_of_a_file_that_was_replaced_does_not_stay(
             place.write_bytes(data)
 
 
-def test_prefetch_keeps_to_its_budget_and_does_not_push_out_what_it_fetched(
-    sim: SimBoard, configs: dict[str, Config], tmp_path: Path
-) -> None:
-    duo = configs["duo"]
-    with rig(sim.root, tmp_path, duo) as made:
-        files = CountingFiles(sim.root)
-        modules = [duo.modules[name] for name in BOTH_REGIONS]
-        jobs = [
-            Job(files.image(duo, m), duo.regions[m.region], port=duo.regions[m.region].loader_name) for m in modules
-        ]
-        largest = max(job.image.length for job in jobs)
-        loaders = Loaders(made.devices, files, made.clock, prefetch_bytes=2 * largest + 8192)
-        files.read.clear()
-        loaders.prefetch(jobs)
-        assert files.read == ["a0.bit", "b0.bit"]
-        loaders.prefetch(jobs)
-        assert files.read == ["a0.bit", "b0.bit"]
-        loaders.prefetch(jobs[2:])
-        assert files.read == ["a0.bit", "b0.bit", "a1.bit", "b1.bit"]
-        assert sim.control.state()["buffers"] == 2
-        loaders.forget()
-        assert sim.control.state()["buffers"] == 0
-
-
 def test_a_plan_touches_nothing(made: Rig) -> None:
     at(made, "duo/default")
     before = made.manager.state
@@ -707,29 +681,6 @@ def test_memory_that_runs_out_while_images_are_fetched_ahead_stops_no_change(
         assert made.go("default", config="duo") is not None  # the thread lives and answers
 
 
-def test_an_image_that_cannot_be_fetched_ahead_is_an_error_of_the_change_that_needs_it(
-    sim: SimBoard, configs: dict[str, Config], tmp_path: Path
-) -> None:
-    fetched = threading.Event()
-
-    class Changed(BoardFiles):
-        def port_bytes(self, image: Image) -> bytes:
-            if image.path.name == "b1.bit":
-                fetched.set()
-                raise Sha256Mismatch("b1.bit has changed")
-            return super().port_bytes(image)
-
-    with rig(sim.root, tmp_path, configs["duo"], prefetch=64 << 20, files=Changed) as made:
-        at(made, "duo/default")
-        assert fetched.wait(60)
-        checked = threading.Event()  # behind it, by the same thread
-        made.manager.check(made.manager.prepared_check("prr0"), lambda _: checked.set())
-        assert checked.wait(60)
-        assert "internal" not in str(made.manager.status().last_error)
-        assert error_of(made, "duo/both") == Sha256Mismatch.code
-        at(made, "duo/other")
-
-
 def test_a_plan_estimates_time_from_earlier_changes_even_after_a_restart(
     made: Rig, sim: SimBoard, configs: dict[str, Config], tmp_path: Path
 ) -> None:
@@ -755,26 +706,6 @@ def test_a_plan_estimates_time_from_earlier_changes_even_after_a_restart(
     made.close()
     with rig(sim.root, tmp_path / "state", *configs.values()) as again:
         assert abs(again.manager.plan(request).seconds - plan.seconds) < 0.25 * took
-
-
-def test_a_slow_first_change_does_not_raise_the_estimate_for_the_next(made: Rig) -> None:
-    """As after a start, where nothing is in a cache yet."""
-    made.clock.stand_still()
-
-    def slowly(name: str) -> None:
-        made.clock.ahead += cost if name.startswith("icap") else 0.001
-
-    made.fault.watch, cost = slowly, 3.0
-    at(made, "duo/default")
-    assert made.manager.status().last_change_seconds > 3
-    cost = 0.001
-    at(made, "duo/both", "duo/default")
-    made.fault.watch = lambda _: None
-    expected = made.manager.plan(ChangeMode(config_name="duo", mode="both")).seconds
-    made.fault.watch = slowly
-    at(made, "duo/both")
-    took = made.manager.status().last_change_seconds  # by the test's clock, whatever the speed of the machine
-    assert 0.5 * took < expected < 1.5 * took
 
 
 @pytest.mark.parametrize("beside", ["nothing", "a mode of the module that is called so"])
