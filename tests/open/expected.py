@@ -22,12 +22,20 @@ _STORED = ("LUT", "FD", "LD", "SRL", "RAMD32")
 
 def outputs(folder: Path, design: Design, changes: Sequence[Change], values: Sequence[int]) -> list[list[int]]:
     """What comes out after each clock, for each change; -1 where the models do not know."""
-    circles = [circular(design, change) for change in changes]
-    together = [change for change, circle in zip(changes, circles, strict=True) if not circle]
-    found = iter(_run(folder, design, together, values) if together else [])
+    modules = [_module(design, change) for change in changes]
+    return simulated(folder, modules, [circular(design, change) for change in changes], values)
+
+
+def simulated(folder: Path, modules: Sequence[str], circles: Sequence[bool], values: Sequence[int]) -> list[list[int]]:
+    """What modules `design@` of `clk`, `a` and `y` put out after each clock; -1 where that is not known.
+
+    Those with `circles` may simulate without end, and each runs alone.
+    """
+    together = [module for module, circle in zip(modules, circles, strict=True) if not circle]
+    found = iter(_run(folder, together, values) if together else [])
     return [
-        _alone(folder, design, change, values) if circle else next(found)
-        for change, circle in zip(changes, circles, strict=True)
+        _alone(folder, module, values) if circle else next(found)
+        for module, circle in zip(modules, circles, strict=True)
     ]
 
 
@@ -62,37 +70,37 @@ def _ways_through(cell: Cell) -> Iterator[tuple[str, str]]:
         yield from ((pin, out) for pin in cell.nets if not pin.startswith((*clocked, "O", "Q")) for out in outs)
 
 
-def _alone(folder: Path, design: Design, change: Change, values: Sequence[int]) -> list[int]:
+def _alone(folder: Path, module: str, values: Sequence[int]) -> list[int]:
     try:
-        return _run(folder, design, [change], values)[0]
+        return _run(folder, [module], values)[0]
     except subprocess.CalledProcessError as problem:
         if problem.returncode != -signal.SIGXCPU:
             raise
         return [-1] * len(values)  # it simulates without end
 
 
-def _run(folder: Path, design: Design, changes: Sequence[Change], values: Sequence[int]) -> list[list[int]]:
-    modules = "".join(_module(design, change, f"design{number}") for number, change in enumerate(changes))
-    wires = "".join(f"wire [7:0] y{n}; design{n} d{n} (clk, a, y{n});\n" for n in range(len(changes)))
-    shown = f'$display("{" %b" * len(changes)}", {", ".join(f"y{n}" for n in range(len(changes)))});'
+def _run(folder: Path, modules: Sequence[str], values: Sequence[int]) -> list[list[int]]:
+    text = "".join(module.replace("design@", f"design{number}") for number, module in enumerate(modules))
+    wires = "".join(f"wire [7:0] y{n}; design{n} d{n} (clk, a, y{n});\n" for n in range(len(modules)))
+    shown = f'$display("{" %b" * len(modules)}", {", ".join(f"y{n}" for n in range(len(modules)))});'
     steps = "".join(f"a = {value}; #10 clk = 1; #10 clk = 0; #10 show;\n" for value in values)
     bench = f"module bench; reg clk = 0; reg [7:0] a = 0;\n{wires}task show; {shown} endtask\n"
     bench += f"initial begin #200\n{steps}end\nendmodule\n"
-    (folder / "expected.v").write_text(modules + _MODELS + bench)
+    (folder / "expected.v").write_text(text + _MODELS + bench)
     command = ["iverilog", "-g2012", "-s", "bench", "-o", str(folder / "bench"), str(folder / "expected.v"), str(CELLS)]
     subprocess.run(command, check=True, capture_output=True)
-    limit = LOOP * len(changes)  # seconds of a processor
+    limit = LOOP * len(modules)  # seconds of a processor
     run = ["/bin/sh", "-c", f'ulimit -S -t {limit}; exec "$0"', str(folder / "bench")]
     done = subprocess.run(run, check=True, capture_output=True, text=True)
     rows = [line.split() for line in done.stdout.splitlines()]
-    return [[_number(row[column]) for row in rows] for column in range(len(changes))]
+    return [[_number(row[column]) for row in rows] for column in range(len(modules))]
 
 
 def _number(word: str) -> int:
     return int(word, 2) if set(word) <= {"0", "1"} else -1
 
 
-def _module(design: Design, change: Change, name: str) -> str:
+def _module(design: Design, change: Change) -> str:
     """The design with `a` at the begin of its anchors and `y` behind them."""
     body, wires = [], set()
     for cell in design.cells.values():
@@ -110,7 +118,7 @@ def _module(design: Design, change: Change, name: str) -> str:
     wires -= {design.one, design.zero, design.clock}
     begins = {_bit(cell): cell.nets["Q"] for cell in design.cells.values() if "begins" in cell.name}
     leaves = {_bit(cell): cell.nets["O6"] for cell in design.cells.values() if "leaves" in cell.name}
-    lines = [f"module {name} (input wire clk, input wire [7:0] a, output wire [7:0] y);"]
+    lines = ["module design@ (input wire clk, input wire [7:0] a, output wire [7:0] y);"]
     lines += [f"wire n{net};" for net in sorted(wires | set(begins.values()))]
     lines += [f"assign n{net} = a[{bit}];" for bit, net in begins.items()]
     lines += [f"assign y[{bit}] = n{net};" for bit, net in leaves.items()]

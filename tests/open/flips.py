@@ -13,9 +13,8 @@ from pathlib import Path
 import changes
 from changes import LETTERS, Change
 from design import Cell, Design
-from expected import circular, outputs
-from netlist_simulation import Simulation
-from routed import Routed
+from expected import circular, outputs, simulated
+from routed import Routed, as_verilog
 
 from cm.formats.xray import Feature, Tile, Wires, bits_of, decode, tiles_with_bits
 from cm.simulation.bits import extract
@@ -60,15 +59,17 @@ class Flips:
                 flip = makers[kind]()
             yield flip
 
-    def found(self, flip: Flip) -> list[int]:
+    def found(self, flips: Sequence[Flip], folder: Path) -> list[list[int]]:
         """What the flipped bits do."""
-        simulation = Simulation(extract(self.routed.database, self._wires, self.features(flip), self.routed.boundary))
-        seen = []
-        for value in self.values:
-            simulation.set({f"a[{bit}]": bool(value >> bit & 1) for bit in range(8)})
-            simulation.clock()
-            seen.append(sum(simulation.output(f"y[{bit}]") << bit for bit in range(8)))
-        return seen
+        found = []
+        for first in range(0, len(flips), BATCH):
+            some = flips[first : first + BATCH]
+            features = map(self.features, some)
+            modules = [
+                as_verilog(extract(self.routed.database, self._wires, one, self.routed.boundary)) for one in features
+            ]
+            found += simulated(folder, modules, [circular(self.design, flip.change) for flip in some], self.values)
+        return found
 
     def features(self, flip: Flip) -> set[Feature]:
         """What the frames say with the bit flipped: the tiles that it belongs to are read anew."""

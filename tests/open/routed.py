@@ -13,7 +13,7 @@ from typing import Any
 
 from cm.design.debian_packages import PackageTree
 from cm.formats.xray import Database, Feature, encode, read_features
-from cm.simulation.bits import Boundary
+from cm.simulation.bits import Boundary, Netlist, Port, verilog
 
 HERE = Path(__file__).parent
 PART = "xc7z010clg400-1"
@@ -63,6 +63,12 @@ class Routed:
         tile = self.database.tile_at[column, 12 + bit // 4]
         first = min(tile.sites, key=lambda name: int(name.partition("_X")[2].partition("Y")[0]))
         return tile.name, f"{tile.sites[first]}_X0", _LETTERS[bit % 4]
+
+
+def as_verilog(netlist: Netlist) -> str:
+    """A module `design@` that does what the bits say."""
+    ports = (Port("clk", 1, True), Port("a", 8, True), Port("y", 8, False))
+    return verilog(netlist, "design@", ports, dict.fromkeys(range(12), "clk"))
 
 
 def route(packages: PackageTree, folder: Path, seed: int = 1) -> Routed:

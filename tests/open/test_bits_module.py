@@ -11,17 +11,16 @@ from pathlib import Path
 
 import pytest
 from design import Design
-from netlist_simulation import Simulation
-from routed import HERE, Routed
+from expected import simulated
+from routed import HERE, Routed, as_verilog
 
 from cm.design.debian_packages import PackageTree
 from cm.formats.bitstream import device_by_name, to_dma_words
 from cm.formats.bitstream.memory import FrameMemory
 from cm.formats.xray import Feature, Wires, bits_of, decode, to_bytes, volatile_bits
-from cm.simulation.bits import Boundary, FlipFlop, LutMemory, Netlist, Port, extract, verilog
+from cm.simulation.bits import Boundary, FlipFlop, LutMemory, Netlist, extract
 
 pytestmark = pytest.mark.timeout(600)
-PORTS = (Port("clk", 1, True), Port("a", 8, True), Port("y", 8, False))
 CYCLES = 1_000_000
 
 
@@ -30,17 +29,6 @@ def netlist(routed: Routed) -> Netlist:
     decoded = decode(routed.database, routed.frames)
     assert not decoded.unexplained
     return extract(routed.database, Wires(routed.database), decoded.features, routed.boundary)
-
-
-def run_rtl(folder: Path, values: list[int]) -> list[int]:
-    """What the Verilog puts out after each clock, by Icarus."""
-    steps = "".join(f"a = {value}; #1 clk = 1; #1 clk = 0; #1 $display(y);\n" for value in values)
-    steps = f"initial begin\n{steps}end\n"
-    bench = f"module bench; reg clk = 0; reg [7:0] a = 0; wire [7:0] y; everything m (clk, a, y);\n{steps}endmodule\n"
-    (folder / "bench.v").write_text(bench)
-    compiled = ["iverilog", "-o", str(folder / "bench"), str(folder / "bench.v"), str(HERE / "hdl/everything.v")]
-    subprocess.run(compiled, check=True)
-    return [int(line) for line in subprocess.run([folder / "bench"], check=True, capture_output=True).stdout.split()]
 
 
 def test_everything_that_the_module_is_made_of_is_found(netlist: Netlist) -> None:
@@ -72,21 +60,8 @@ def test_the_tables_that_nextpnr_made_memories_of_are_what_changes_by_itself(rou
     assert len(placed) > 5
 
 
-def test_it_does_what_its_verilog_does_cycle_by_cycle(netlist: Netlist, tmp_path: Path) -> None:
-    source = random.Random(1)
-    values = [source.getrandbits(8) & (0x7F if source.random() < 0.9 else 0xFF) for _ in range(300)]
-    run = Simulation(netlist)
-    found = []
-    for value in values:
-        run.set({f"a[{bit}]": bool(value >> bit & 1) for bit in range(8)})
-        run.clock()
-        found.append(sum(run.output(f"y[{bit}]") << bit for bit in range(8)))
-    assert found == run_rtl(tmp_path, values)
-    assert not run.unsettled
-
-
 def test_a_million_cycles_of_its_bits_as_verilog_equal_those_of_its_own(netlist: Netlist, tmp_path: Path) -> None:
-    (tmp_path / "bits.v").write_text(verilog(netlist, "bits", PORTS, dict.fromkeys(range(12), "clk")))
+    (tmp_path / "bits.v").write_text(as_verilog(netlist).replace("design@", "bits"))
     (tmp_path / "both.v").write_text("""
 module both (input wire clk, output reg wrong, output wire [7:0] seen);
     reg [31:0] noise = 32'h1234_5678;
@@ -149,27 +124,17 @@ def test_frames_of_a_full_bitstream_of_others_are_taken_to_their_addresses(
     assert len(written) > 5000
 
 
-def outputs(netlist: Netlist, values: list[int]) -> list[int]:
-    run, found = Simulation(netlist), []
-    for value in values:
-        run.set({f"a[{bit}]": bool(value >> bit & 1) for bit in range(8)})
-        run.clock()
-        found.append(sum(run.output(f"y[{bit}]") << bit for bit in range(8)))
-    return found
-
-
-def test_a_blanked_region_gives_constants(routed: Routed) -> None:
-    values = [random.Random(2).getrandbits(8) for _ in range(50)]
+def test_what_is_not_the_modules_own_place_is_not_the_module(routed: Routed, netlist: Netlist, tmp_path: Path) -> None:
+    """A blanked region gives constants; at the anchors of another static part a module is garbage."""
     blank = extract(routed.database, Wires(routed.database), frozenset(), routed.boundary)
-    assert set(outputs(blank, values)) == {0}
-
-
-def test_at_the_anchors_of_another_static_part_a_module_is_garbage(routed: Routed, netlist: Netlist) -> None:
-    source = random.Random(3)
-    values = [source.getrandbits(8) & 0x7F for _ in range(100)]
     letters = {"A": "B", "B": "C", "C": "D", "D": "A"}
     inputs = {(tile, site, letters[letter]): name for (tile, site, letter), name in routed.boundary.inputs.items()}
     ends = {name: (tile, site, letters[letter]) for name, (tile, site, letter) in routed.boundary.outputs.items()}
-    decoded = decode(routed.database, routed.frames)
-    other = extract(routed.database, Wires(routed.database), decoded.features, Boundary(inputs, ends))
-    assert outputs(other, values) != outputs(netlist, values)
+    features = decode(routed.database, routed.frames).features
+    other = extract(routed.database, Wires(routed.database), features, Boundary(inputs, ends))
+    values = random.Random(3).choices(range(128), k=100)
+    nothing, own, elsewhere = simulated(
+        tmp_path, [as_verilog(one) for one in (blank, netlist, other)], [False, False, True], values
+    )
+    assert set(nothing) == {0}
+    assert own != elsewhere
