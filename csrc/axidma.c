@@ -31,13 +31,6 @@ static struct cm_node *open_channel(const char *root, const char *name)
 	return channel_path(path, name) ? NULL : cm_node_open(root, path);
 }
 
-int cm_dma_probe(const char *root, const char *name)
-{
-	char path[PATH_SIZE];
-
-	return channel_path(path, name) ? -1 : cm_node_probe(root, path);
-}
-
 struct cm_dma *cm_dma_open(const char *root, const char *name)
 {
 	struct cm_dma *dma = calloc(1, sizeof(*dma));
@@ -71,11 +64,6 @@ int cm_dma_event_fd(struct cm_dma *dma)
 void cm_dma_release(struct cm_dma *dma)
 {
 	cm_node_release(dma->node);
-}
-
-bool cm_dma_answers(struct cm_dma *dma)
-{
-	return cm_node_answers(dma->node);
 }
 
 int cm_dma_get_info(struct cm_dma *dma, struct cm_dma_info *info)

@@ -24,9 +24,6 @@ struct cm_dma;
  */
 struct cm_dma *cm_dma_open(const char *root, const char *name);
 
-/* See cm_node_probe(). */
-int cm_dma_probe(const char *root, const char *name);
-
 /* Stop all transfers, release handles, close and free; @dma may be NULL. */
 void cm_dma_close(struct cm_dma *dma);
 
@@ -65,9 +62,6 @@ int cm_dma_submit(struct cm_dma *dma, uint32_t handle, uint64_t offset, uint64_t
 /* The same for a frame of @lines lines; see struct cm_dma_submit_video. */
 int cm_dma_submit_video(struct cm_dma *dma, uint32_t handle, uint64_t offset, uint32_t lines,
 			uint32_t line_bytes, uint32_t stride, uint64_t cookie, uint32_t flags);
-
-/* See cm_node_answers(). */
-bool cm_dma_answers(struct cm_dma *dma);
 
 /* End all transfers; returns when the hardware has stopped. */
 int cm_dma_cancel(struct cm_dma *dma);

@@ -75,32 +75,6 @@ static int open_under(struct cm_node *node, const char *root, const char *path)
 	return result;
 }
 
-static int knock(int path_fd)
-{
-	struct stat st;
-
-	if (fstat(path_fd, &st))
-		return -1;
-	if (S_ISSOCK(st.st_mode))
-		return cm_path_connect(path_fd, CM_PATH_NO_WAIT);
-	errno = ENOTSUP;
-	return -1;
-}
-
-int cm_node_probe(const char *root, const char *path)
-{
-	int path_fd = cm_path_open(root, path, O_PATH);
-	int result, error;
-
-	if (path_fd < 0)
-		return -1;
-	result = knock(path_fd);
-	error = errno;
-	close(path_fd);
-	errno = error;
-	return result;
-}
-
 /* A node without a device yet. */
 static struct cm_node *make_node(void)
 {

@@ -61,15 +61,6 @@ struct cm_node *cm_node_open(const char *root, const char *path);
 struct cm_node *cm_node_adopt(int fd);
 
 /**
- * cm_node_probe() - knock at a simulated node without waiting
- *
- * Returns a descriptor that polls readable when the node answers, or nobody serves
- * it any more; the caller's to close, which ends it.  Errors: ENOTSUP for a real
- * node, ETIMEDOUT where no more connections can wait, those of cm_node_open().
- */
-int cm_node_probe(const char *root, const char *path);
-
-/**
  * cm_node_release() - close the device; @node stays valid
  *
  * Waits of other threads end with ECANCELED, every later call fails with EBADF.
@@ -153,9 +144,6 @@ int cm_node_write(struct cm_node *node, const void *data, size_t size);
 
 /* Whether a simulated node offers all of these CM_NODE_OFFERS_*; a real one offers none. */
 bool cm_node_offers(const struct cm_node *node, uint32_t offers);
-
-/* False while a simulated node owes a reply that should have come long ago.  Never blocks. */
-bool cm_node_answers(struct cm_node *node);
 
 /* False once the other end of a simulated node has gone; true for a real one. */
 bool cm_node_connected(const struct cm_node *node);

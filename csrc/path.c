@@ -71,8 +71,7 @@ int cm_path_limit(int sock, int timeout_ms)
 int cm_path_connect(int path_fd, int timeout_ms)
 {
 	struct sockaddr_un address = { .sun_family = AF_UNIX };
-	int type = SOCK_SEQPACKET | SOCK_CLOEXEC | (timeout_ms < 0 ? SOCK_NONBLOCK : 0);
-	int sock = socket(AF_UNIX, type, 0);
+	int sock = socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0);
 
 	if (sock < 0)
 		return -1;

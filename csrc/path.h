@@ -30,8 +30,6 @@ int cm_path_connect(int path_fd, int timeout_ms);
 /* No call on @sock waits longer than this. */
 int cm_path_limit(int sock, int timeout_ms);
 
-#define CM_PATH_NO_WAIT (-1) /* not even connecting waits */
-
 /* Text of a short plain file into @text, without the end of line; -1 with errno. */
 int cm_path_read_text(const char *root, const char *path, char *text, size_t size);
 

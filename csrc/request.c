@@ -53,20 +53,6 @@ static void recover(struct cm_node *node)
 		node->broken = cm_message_drop_late(node->fd) ? errno : 0;
 }
 
-bool cm_node_answers(struct cm_node *node)
-{
-	bool answers = true;
-
-	if (!node->simulated || cm_node_enter(node))
-		return true;
-	pthread_mutex_lock(&node->lock);
-	recover(node);
-	answers = node->broken != ETIMEDOUT;
-	pthread_mutex_unlock(&node->lock);
-	cm_node_leave(node);
-	return answers;
-}
-
 static int exchange_locked(struct cm_node *node, uint32_t op, void *arg, size_t size, int32_t *fd,
 			   enum cm_node_fd mode)
 {

@@ -135,19 +135,6 @@ class AxiDma(Device):
             self._info = DmaInfo(raw.name, Direction(raw.direction), kind, caps, *depth)
         return self._info
 
-    @staticmethod
-    def probe(name: str, root: AnyRoot = None) -> int:
-        """Return a descriptor that polls readable when a simulated channel answers; the caller's to close.
-
-        Never waits. Raises OSError, on a real channel too (ENOTSUP).
-        """
-        return native.probe(Root.of(root).prefix, name)
-
-    @property
-    def answers(self) -> bool:
-        """False after a DeviceTimeout of a request on a simulated board, until its answer has come."""
-        return native.answers(self._handle)
-
     @property
     def shim_handle(self) -> Handle:
         """The handle that `cm.device.data_plane` passes to C; valid as long as this object."""

@@ -229,10 +229,6 @@ class BoardDevices:
         """Likewise, of a configuration port only. Any thread. Raises DeviceError."""
         return port_memory(length, self._root)
 
-    def probe_dma(self, channel: str) -> int:
-        """A descriptor that polls readable once a silent channel answers again. Raises OSError."""
-        return AxiDma.probe(channel, self._root)
-
     def check(self) -> None:
         """Raise DeviceError if the board no longer answers: ask its ports, or open a window."""
         ports = {*(str(name) for kind, name in self._open if kind == "icap"), *list_icap(self._root)}

@@ -240,13 +240,13 @@ class Server:
 
     def _purposes(self) -> dict[Purpose, Serve]:
         """What a connection to the data socket is opened for, and who serves it."""
-        streams, (echoes, allocations) = self._streams, self._streams.memories
+        streams = self._streams
         return {
             Purpose.READ: streams.open_local,
             Purpose.WRITE: streams.open_local,
             Purpose.TRANSFER: streams.open_local,
-            Purpose.ECHO: echoes.open,
-            Purpose.ALLOCATE: allocations.open,
+            Purpose.ECHO: streams.memories.open,
+            Purpose.ALLOCATE: streams.memories.open,
             Purpose.WINDOW: self._open_window,
             Purpose.WRITABLE_WINDOW: self._open_window,
             Purpose.REGISTERS: self._open_reads,

@@ -45,8 +45,6 @@ int cm_dma_submit(struct cm_dma *dma, uint32_t handle, uint64_t offset, uint64_t
 		  uint64_t cookie, uint32_t flags, uint64_t period);
 int cm_dma_submit_video(struct cm_dma *dma, uint32_t handle, uint64_t offset, uint32_t lines,
 			uint32_t line_bytes, uint32_t stride, uint64_t cookie, uint32_t flags);
-bool cm_dma_answers(struct cm_dma *dma);
-int cm_dma_probe(const char *root, const char *name);
 int cm_dma_cancel(struct cm_dma *dma);
 ssize_t cm_dma_take(struct cm_dma *dma, struct cm_dma_completion *completions, size_t count);
 int cm_dma_wait(struct cm_dma *dma, int64_t timeout_ns, struct cm_dma_completion *completion);

@@ -112,16 +112,6 @@ def cancel(handle: Handle) -> None:
     check(lib.cm_dma_cancel(handle))
 
 
-def probe(root: str, name: str) -> int:
-    """Return a descriptor that polls readable when a simulated channel answers; the caller's to close."""
-    return check(lib.cm_dma_probe(encode(root), encode(name)))
-
-
-def answers(handle: Handle) -> bool:
-    """Whether no reply is overdue."""
-    return bool(lib.cm_dma_answers(handle))
-
-
 def take(handle: Handle) -> list[Completion]:
     """Return all completions that are there, at most ``TAKE_AT_ONCE``."""
     array = ffi.new("struct cm_dma_completion[]", TAKE_AT_ONCE)

@@ -11,8 +11,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from types import MappingProxyType
 from typing import Any
 
-from cm.errors import Busy, InvalidRequest, Timeout
-from cm.frozen import dataclass
+from cm.errors import Busy, InvalidRequest
 from cm.manager.errors import NothingLoaded, UnknownStream, hint
 from cm.schema.model import Config, Direction, Stream
 from cm.server.streams.machine import OPEN_PHASES, StreamEvent, StreamMachine, StreamPhase
@@ -26,27 +25,6 @@ class StreamStopped(Busy):
 
 
 _P, _E, _NOTHING = StreamPhase, StreamEvent, MappingProxyType[str, str | None]({})
-
-
-@dataclass(frozen=True, slots=True)
-class Users:
-    """The kinds of users that a stream has now."""
-
-    subscriber: bool = False  # over ZeroMQ
-    client: bool = False  # of the data socket
-    transfer: bool = False  # a single read or write, now or a moment ago
-
-    def __bool__(self) -> bool:
-        return self.subscriber or self.client or self.transfer
-
-
-def decide(phase: StreamPhase, wanted: bool) -> StreamEvent | None:
-    """Return what to do with a stream next, or None for nothing."""
-    if phase is _P.CLOSED and wanted:
-        return _E.OPEN
-    if phase in OPEN_PHASES and not wanted:
-        return _E.CLOSE
-    return None
 
 
 class StreamOverrides:
@@ -96,8 +74,9 @@ class StreamOverrides:
         self._runs.clear()
 
 
-_AFTER_A_CHANGE = ((_P.HELD, _E.RELEASE), (_P.HELD_STALLED, _E.RELEASE), (_P.RESTING, _E.RETRY))
+_AFTER_A_CHANGE = ((_P.HELD, _E.RELEASE), (_P.RESTING, _E.RETRY))
 _REST = 0.9  # seconds after which a stream that could not be opened is due again; we are asked once a second
+_SILENT = 10.0  # the same where its channel did not answer, as on a stopped simulated board: each try waits for it
 
 
 class StreamLifecycle:
@@ -131,50 +110,45 @@ class StreamLifecycle:
                 self.machines[name].after(event)
         return [name for name in self._in(*OPEN_PHASES) if self.streams.get(name) != before.get(name)]
 
-    def stalled(self) -> list[str]:
-        """Return the streams whose channel does not answer."""
-        return self._in(_P.STALLED, _P.HELD_STALLED)
-
     def _in(self, *phases: StreamPhase) -> list[str]:
         return [name for name, machine in self.machines.items() if machine.phase in phases]
 
-    def due(self, users: Callable[[Stream], Users]) -> Iterator[tuple[StreamEvent, Stream]]:
+    def due(self, is_used: Callable[[Stream], bool]) -> Iterator[tuple[StreamEvent, Stream]]:
         """Yield the streams to open and to close now."""
         for name, stream in list(self.streams.items()):
             machine = self.machine(name)
             if machine.phase is _P.RESTING and time.monotonic() >= machine.rest_until:
                 machine.after(_E.RETRY)
-            event = decide(machine.phase, self.is_wanted(stream, users(stream)))
-            if event is not None:
-                yield event, stream
+            wanted = self.is_wanted(stream, is_used(stream))
+            if machine.phase is _P.CLOSED and wanted:
+                yield _E.OPEN, stream
+            elif machine.phase in OPEN_PHASES and not wanted:
+                yield _E.CLOSE, stream
 
-    def rest(self, name: str) -> None:
+    def rest(self, name: str, silent: bool = False) -> None:
         """Note that a stream could not be opened: it is due again after a while, or in another mode.
 
         Its closing would otherwise be an event upon which it is asked for at once.
         """
-        self.machine(name).rest_until = time.monotonic() + _REST
+        self.machine(name).rest_until = time.monotonic() + (_SILENT if silent else _REST)
 
-    def is_wanted(self, stream: Stream, users: Users) -> bool:
+    def is_wanted(self, stream: Stream, used: bool) -> bool:
         """Whether a stream shall run if it can."""
         runs = self._overrides.runs(stream.name)
-        return bool(users) if runs is None else runs
+        return used if runs is None else runs
 
     def is_held(self, name: str) -> bool:
         """Whether a stream is stopped while its region changes."""
-        return self.machine(name).phase in (_P.HELD, _P.HELD_STALLED)
+        return self.machine(name).phase is _P.HELD
 
     def may_run(self, name: str) -> bool:
         """Whether a stream can be opened for a client."""
-        held = self.machine(name).phase in (_P.HELD, _P.STALLED, _P.HELD_STALLED)
-        return not held and self._overrides.runs(name) is not False
+        return not self.is_held(name) and self._overrides.runs(name) is not False
 
     def check_may_run(self, name: str) -> None:
-        """Raise StreamStopped or Timeout, with the reason, if it cannot."""
+        """Raise StreamStopped, with the reason, if it cannot."""
         if self.is_held(name):
             raise StreamStopped(f"stream {name!r} is stopped while its region changes")
-        if self.machine(name).phase is _P.STALLED:
-            raise Timeout(f"stream {name!r}: the board does not answer; the stream resumes when it does")
         if self._overrides.runs(name) is False:
             raise StreamStopped(f"stream {name!r} was stopped; cm_data_config with enable lets it run")
 

@@ -33,8 +33,6 @@ class StreamPhase(str, Enum):
     OPENING = "opening"  # its channel is open; the hardware and the first clients get their slots
     RUNNING = "running"
     HELD = "held"  # stopped while its region changes
-    STALLED = "stalled"  # its channel does not answer: a simulated board that is stopped
-    HELD_STALLED = "held_stalled"
 
 
 class StreamEvent(str, Enum):
@@ -47,8 +45,6 @@ class StreamEvent(str, Enum):
     RETRY = "retry"
     HOLD = "hold"
     RELEASE = "release"
-    STALL = "stall"
-    ANSWER = "answer"
 
 
 _P, _E = StreamPhase, StreamEvent
@@ -68,16 +64,7 @@ TRANSITIONS: Mapping[tuple[StreamPhase, StreamEvent], StreamPhase] = MappingProx
         (_P.CLOSED, _E.HOLD): _P.HELD,
         (_P.RESTING, _E.HOLD): _P.HELD,
         (_P.HELD, _E.HOLD): _P.HELD,
-        (_P.STALLED, _E.HOLD): _P.HELD_STALLED,
-        (_P.HELD_STALLED, _E.HOLD): _P.HELD_STALLED,
         (_P.HELD, _E.RELEASE): _P.CLOSED,
-        (_P.HELD_STALLED, _E.RELEASE): _P.STALLED,
-        (_P.CLOSED, _E.STALL): _P.STALLED,
-        (_P.RESTING, _E.STALL): _P.STALLED,
-        (_P.OPENING, _E.STALL): _P.STALLED,
-        (_P.RUNNING, _E.STALL): _P.STALLED,
-        (_P.STALLED, _E.ANSWER): _P.CLOSED,
-        (_P.HELD_STALLED, _E.ANSWER): _P.HELD,
     }
 )
 
@@ -296,7 +283,7 @@ class StreamMachine:
         """A step could not be taken: return the members that are refused for it, each with its error.
 
         If it is for want of memory for one of several members, or the stream runs, only that member is. Otherwise the
-        stream fails, or has stalled.
+        stream fails.
         """
         self.made, member, reason = made, step.member, error
         alone = member is None or (self.phase is _P.OPENING and len(self.members) == 1)
@@ -315,5 +302,5 @@ class StreamMachine:
             one.error = reason
             self.left(one.client)
         if alone:
-            self.after(_E.STALL if isinstance(error, DeviceTimeout) else _E.FAIL)
+            self.after(_E.FAIL)
         return refused

@@ -218,9 +218,3 @@ class OpenStream:
             self._dma.close()  # frees all slots at once; one by one would take as long as allocating them
         finally:
             self._slots.close()
-
-    def release(self, error: int = 0) -> AxiDma:
-        """Do the same, but leave the channel open and hand it to the caller."""
-        self._plane.stop(self.id, error)
-        self._slots.close()
-        return self._dma

@@ -187,9 +187,8 @@ def test_bounds_are_those_that_were_read_last(served: Daemon, source: Source, re
             (
                 Open("", Purpose.ALLOCATE, length=2 * MIB),
                 "busy",
-                "memory for masters in the PL is 1 MiB for one user",
+                "memory for masters in the PL and echoes is 1 MiB for one user",
             ),
-            (Open("", Purpose.ECHO, length=2 * MIB), "busy", "memory of echoes is 1 MiB for one user"),
         ):
             with closing(Client(served, wanted)) as other:
                 found, message = other.refusal()

@@ -9,8 +9,6 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from functools import partial
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -20,10 +18,8 @@ from manager_process import until
 
 from cm.device import AxiDma, DeviceError
 from cm.device.data_plane import Plane
-from cm.schema.model import Direction, Stream
 from cm.server.devices import BoardDevices
 from cm.server.sockets import Loop
-from cm.server.streams.running import StalledChannels
 from cm.server.streams.slots import AT_ONCE, Slots
 from cm.wire import plane_packets as packets
 from cm.wire.messages import requests as rq
@@ -167,12 +163,6 @@ def test_requests_are_served_while_slots_are_made(
     slots.opened.set()
     assert reader.geometry().depth == DEPTH
     assert reads(reader) == [0, 1, 2, 3, 4]
-
-
-def test_an_echo_gets_its_slots_turn_by_turn(slots: Allocator, camera: Daemon, client: Callable[..., Client]) -> None:
-    echo = client(camera, Open("", Purpose.ECHO, length=100, depth=16))
-    assert echo.geometry().depth == 16
-    assert slots.given <= AT_ONCE
 
 
 # ---- half way ------------------------------------------------------------------------------------
@@ -428,31 +418,6 @@ def test_a_setting_of_a_stream_that_goes_before_it_has_started_is_answered(slots
     assert error == ErrorInfo("stream_stopped", "stream 'camera' was stopped: this mode has none of that name")
 
 
-def test_channels_that_answer_again_are_released_and_named() -> None:
-    (one, wakes_one), (other, wakes_other) = os.pipe(), os.pipe()
-    stalled = StalledChannels({"dma1": one, "dma2": other}.__getitem__)
-    closed: list[str] = []
-    channels: list[Any] = [SimpleNamespace(answers=False, close=partial(closed.append, name)) for name in ("a", "b")]
-    for name, channel in zip(("a", "b"), channels, strict=True):
-        stalled.begin(name, channel)
-    for name, at in (("c", "dma1"), ("d", "dma2")):
-        stalled.probe(Stream(name, at, Direction.S2MM))
-    assert stalled.answered() == []
-    channels[1].answers = True
-    os.write(wakes_one, b"x")
-    assert stalled.answered() == ["b", "c"]
-    assert closed == ["b"]
-    assert stalled.answered() == []
-    stalled.close()
-    stalled.close()
-    assert closed == ["b", "a"]
-    for descriptor in (one, other):
-        with pytest.raises(OSError, match="Bad file descriptor"):
-            os.fstat(descriptor)
-    for descriptor in (wakes_one, wakes_other):
-        os.close(descriptor)
-
-
 def test_a_client_that_waited_for_a_mode_and_gets_no_slots_is_disconnected(
     slots: Allocator, camera: Daemon, client: Callable[..., Client]
 ) -> None:
@@ -514,7 +479,7 @@ def test_memory_that_is_being_allocated_counts(gate: Gate, camera: Daemon, clien
     code, message = allocating(camera, client, 50 * MIB).refusal()
     assert (code, "192 MiB for one user" in message) == ("busy", True), message
     one.close()
-    until(lambda: not camera.server._streams.memories[1].budget.held())
+    until(lambda: not camera.server._streams.memories.held())
     gate.opened.set()
     assert allocating(camera, client, 50 * MIB).next(packets.ADDRESS)[0].length == 50 * MIB
 
@@ -526,7 +491,7 @@ def test_memory_for_a_client_that_has_gone_is_given_back(
     one = allocating(camera, client, 32 * MIB)
     assert gate.reached.wait(60)
     one.close()
-    until(lambda: not camera.server._streams.memories[1].budget.held())
+    until(lambda: not camera.server._streams.memories.held())
     gate.opened.set()
     allocating(camera, client, MIB).next(packets.ADDRESS)  # comes behind the other
     until(lambda: memory(camera) < before + MIB + SPARE)
@@ -539,7 +504,7 @@ def test_memory_that_cannot_be_allocated_is_refused_and_no_longer_counts(
     gate.opened.set()
     code, message = allocating(camera, client, MIB).refusal()
     assert (code, "no memory in one piece" in message) == ("device_error", True)
-    assert not camera.server._streams.memories[1].budget.held()
+    assert not camera.server._streams.memories.held()
 
 
 def test_the_daemon_ends_while_memory_is_allocated(gate: Gate, camera: Daemon, client: Callable[..., Client]) -> None:

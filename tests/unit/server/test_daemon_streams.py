@@ -299,8 +299,8 @@ def loop_is_open(daemon: Daemon, name: str) -> bool:
         (Open("camra"), "unknown_stream", "did you mean 'camera'?"),
         (Open("to_pl"), "invalid_request", "cannot be used the other way"),
         (Open("camera", Purpose.WRITE), "invalid_request", "cannot be used the other way"),
-        (Open("", Purpose.ECHO, length=0), "invalid_request", "an echo needs a length of at least one byte"),
-        (Open("", Purpose.ECHO, length=1 << 40), "busy", "memory of echoes is "),
+        (Open("", Purpose.ECHO, length=0), "invalid_request", "an echo has at least one byte"),
+        (Open("", Purpose.ECHO, length=1 << 40), "busy", "memory for masters in the PL and echoes is "),
         (b"x" * 40, "invalid_request", "must be an OPEN"),
         (b"short", "invalid_request", "at least 32 bytes"),
     ],
@@ -514,8 +514,6 @@ def test_a_board_that_stops_answering_is_reported_and_taken_up_again(
             assert "stream camera ended: Connection timed out" in caplog.messages
             assert made.refused(rq.ReadData("camera", 1.0))[0] == "timeout"
             assert made.refused(rq.ReadData("from_pl", 1.0))[0] == "timeout"  # which was closed
-            silent = "stream 'from_pl': the board does not answer; the stream resumes when it does"
-            assert made.refused(rq.ReadData("from_pl", 1.0)) == ("timeout", silent)
             assert made.done(ConfigureStream("from_pl", slots=9)).slots == 9
         finally:
             os.kill(made.board.pid, signal.SIGCONT)
