@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from types import MappingProxyType
 from typing import Any
 
-from cm.errors import Busy, InvalidRequest
+from cm.errors import Busy, InvalidRequest, Timeout
 from cm.manager.errors import NothingLoaded, UnknownStream, hint
 from cm.schema.model import Config, Direction, Stream
 from cm.server.streams.machine import OPEN_PHASES, StreamEvent, StreamMachine, StreamPhase
@@ -130,7 +130,8 @@ class StreamLifecycle:
 
         Its closing would otherwise be an event upon which it is asked for at once.
         """
-        self.machine(name).rest_until = time.monotonic() + (_SILENT if silent else _REST)
+        machine = self.machine(name)
+        machine.silent, machine.rest_until = silent, time.monotonic() + (_SILENT if silent else _REST)
 
     def is_wanted(self, stream: Stream, used: bool) -> bool:
         """Whether a stream shall run if it can."""
@@ -141,14 +142,21 @@ class StreamLifecycle:
         """Whether a stream is stopped while its region changes."""
         return self.machine(name).phase is _P.HELD
 
+    def is_silent(self, name: str) -> bool:
+        """Whether a stream's channel did not answer a while ago."""
+        machine = self.machine(name)
+        return machine.phase is _P.RESTING and machine.silent and time.monotonic() < machine.rest_until
+
     def may_run(self, name: str) -> bool:
         """Whether a stream can be opened for a client."""
-        return not self.is_held(name) and self._overrides.runs(name) is not False
+        return not (self.is_held(name) or self.is_silent(name)) and self._overrides.runs(name) is not False
 
     def check_may_run(self, name: str) -> None:
-        """Raise StreamStopped, with the reason, if it cannot."""
+        """Raise StreamStopped or Timeout, with the reason, if it cannot."""
         if self.is_held(name):
             raise StreamStopped(f"stream {name!r} is stopped while its region changes")
+        if self.is_silent(name):
+            raise Timeout(f"stream {name!r}: the board does not answer; the stream resumes when it does")
         if self._overrides.runs(name) is False:
             raise StreamStopped(f"stream {name!r} was stopped; cm_data_config with enable lets it run")
 

@@ -149,6 +149,7 @@ class StreamMachine:
         self.phase = StreamPhase.CLOSED
         self.members: dict[int, Member] = {}
         self.rest_until = 0.0  # CLOCK_MONOTONIC, where it could not be opened
+        self.silent = False  # for its channel did not answer
         self.made = self.given = 0  # slots that there are, and those that the plane has
         self._stream: Stream  # as it was opened
         self._writes = False

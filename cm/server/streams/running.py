@@ -211,6 +211,8 @@ class Streams:
     def _check_channel(self, stream: Stream) -> None:
         """Raise InvalidRequest for what the channel cannot do, even if it is not open yet."""
         opened = self._open.get(stream.name)
+        if self._lifecycle.is_silent(stream.name):
+            return
         try:
             if opened is not None:
                 setup(opened.channel, stream)
@@ -348,7 +350,7 @@ class Streams:
         return stream.direction is Direction.S2MM and self._subscribers.wants_stream(stream.name)
 
     def _running(self, stream: Stream) -> OpenStream:
-        """A stream, opened if need be; it starts in a later turn. Raises StreamStopped, DeviceError."""
+        """A stream, opened if need be; it starts in a later turn. Raises StreamStopped, Timeout, DeviceError."""
         self._lifecycle.check_may_run(stream.name)
         if self._lifecycle.machine(stream.name).is_lent:
             raise Busy(f"stream {stream.name!r} is in use: a client transfers its own memory, and has it alone")
@@ -357,7 +359,14 @@ class Streams:
     def _open_stream(self, stream: Stream) -> OpenStream:
         """Open a stream; its slots come in later turns."""
         machine, config = self._lifecycle.machine(stream.name), self._lifecycle.config
-        opened = self._open[stream.name] = OpenStream(self._plane, self._devices.dma(stream.channel), stream, machine)
+        try:
+            opened = OpenStream(self._plane, self._devices.dma(stream.channel), stream, machine)
+        except DeviceTimeout:
+            if machine.phase is StreamPhase.CLOSED:
+                machine.after(StreamEvent.FAIL)
+            self._lifecycle.rest(stream.name, silent=True)
+            raise
+        self._open[stream.name] = opened
         machine.open(stream)
         opened.label(config.name if config else "", self._lifecycle.mode or "")
         self._drive(opened)

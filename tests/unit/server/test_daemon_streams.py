@@ -514,6 +514,8 @@ def test_a_board_that_stops_answering_is_reported_and_taken_up_again(
             assert "stream camera ended: Connection timed out" in caplog.messages
             assert made.refused(rq.ReadData("camera", 1.0))[0] == "timeout"
             assert made.refused(rq.ReadData("from_pl", 1.0))[0] == "timeout"  # which was closed
+            silent = "stream 'from_pl': the board does not answer; the stream resumes when it does"
+            assert made.refused(rq.ReadData("from_pl", 1.0)) == ("timeout", silent)
             assert made.done(ConfigureStream("from_pl", slots=9)).slots == 9
         finally:
             os.kill(made.board.pid, signal.SIGCONT)
