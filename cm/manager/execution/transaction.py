@@ -152,7 +152,7 @@ def _places(step: Step) -> Iterator[tuple[str, int, int]]:
     """What a step accesses: what that is, its physical address, and its bytes."""
     if isinstance(step, s.SetRegister):
         yield f"register {step.register.name}", step.register.address, step.register.width // 8
-    if isinstance(step, s.Decouple | s.Recouple) and (cut := step.region.decoupler) is not None and cut.size:
+    if isinstance(step, (s.Decouple, s.Recouple)) and (cut := step.region.decoupler) is not None and cut.size:
         yield f"the decoupler of region {step.region.name}", cut.base_address + cut.offset, cut.size
     if isinstance(step, s.CheckIdentity) and (own := step.region.identity) is not None:
         yield f"the identity of region {step.region.name}", own.base_address + own.offset, own.width // 8

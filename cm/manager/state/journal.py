@@ -194,8 +194,14 @@ def _change(x: Pending, begin: Kept[str], rest: Kept[str]) -> str:
     text = begin.of(x.number, x.config, x.mode, x.from_config, x.from_mode)
     overlay = "null" if x.overlay is None else _json(x.overlay)
     step = f'"step":{_json(x.step)},"subject":{_json(x.subject)},"overlay":{overlay}'
-    left = f'"touched":{_json(x.touched)},"begun":{_json(x.begun)}'
+    left = f'"touched":{"true" if x.touched else "false"},"begun":{_names(x.begun)}'
     return f"{{{text},{step},{left},{rest.of(x.from_static, x.held, x.values, x.found, x.rates, x.locked)}}}"
+
+
+@lru_cache(64)
+def _names(names: tuple[str, ...]) -> str:
+    """A list. Cached: it is in each record of a change, which seldom adds to it."""
+    return _json(names)
 
 
 def encode(record: Record, texts: Texts) -> bytes:
