@@ -72,7 +72,7 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
             "cm.networks.fleet.queries:Answer", "cm.networks.fleet.errors:NoSuchBoard FleetRefused ChangeFailed",
             "cm.networks.fleet.zenoh_session:NoNetwork",
             "cm.networks.fleet.store:View Wanted Claim Settings Entry StoreAway StoreRefused",
-            "cm.wire.messages.fleet:BoardStatus FleetState ClockSync Policy Decision BundleState",
+            "cm.wire.messages.fleet:BoardStatus FleetState Policy Decision BundleState",
         ),
     ),
     "bitstream": (

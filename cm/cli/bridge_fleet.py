@@ -41,12 +41,6 @@ def add_fleet_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser
         "--label", action="append", default=[], metavar="TEXT", help="a group that the board belongs to"
     )
     parser.add_argument(
-        "--follow",
-        choices=("fleet", "local"),
-        default="fleet",
-        help="whether it goes where it is wanted when it comes back, or stays and says so (fleet)",
-    )
-    parser.add_argument(
         "--join", action="store_true", help="put the board into the inventory, as one with a certificate does by itself"
     )
     parser.add_argument(
@@ -101,7 +95,6 @@ def _options(args: argparse.Namespace) -> Options:
         _name(args.name, network.config),
         tuple(args.label),
         _importer(args.import_to, args.settings) if args.import_to else None,
-        args.follow,
         args.join or bool(member_of(network.config)),
         args.keeper,
     )

@@ -27,19 +27,10 @@ def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
         parser = actions.add_parser(name, help=text)
         add_fleet_options(parser, run)
     parser.set_defaults(boards=None)  # who names none does not mean to remove all
-    store = actions.add_parser("store", help="show or move what the fleet wants of its boards")
+    store = actions.add_parser("store", help="show what the fleet wants of its boards")
     verbs = store.add_subparsers(dest="verb", metavar="ACTION", required=True)
     show = verbs.add_parser("show", help="print everything that is in it, as it lies there")
-    move = verbs.add_parser(
-        "move",
-        help="copy the wanted state into another store",
-        description="Copy the wanted state into another store, which has none. Afterwards start the bridges, and "
-        "whoever changes the fleet, with the new --store. The old one is left as it is; no change may be open in it.",
-    )
-    move.add_argument("to", metavar="TO", help="keeper, etcd's https://HOST:2379,…, or a file about etcd")
-    move.add_argument("--replace", action="store_true", help="also into one that has older state, which is gone then")
-    for each in (show, move):
-        add_fleet_options(each, run_store, boards=False)
+    add_fleet_options(show, run_store, boards=False)
 
 
 def run_ls(args: argparse.Namespace) -> int:
@@ -54,9 +45,9 @@ def run_ls(args: argparse.Namespace) -> int:
         seen = ("there" if name in there else "away") if name in known else "there, not in the inventory"
         plain = _plain(known.get(name))
         wanted = f"{plain['config']}/{plain['mode']}" if plain["generation"] else ""
-        rows.append((name, seen, wanted, plain["generation"] or "", plain["follow"], " ".join(plain["labels"])))
+        rows.append((name, seen, wanted, plain["generation"] or "", " ".join(plain["labels"])))
     found = [{"board": n, "there": n in there, "listed": n in known, **_plain(known.get(n))} for n in chosen]
-    return answer_table(args, found, rows, ("BOARD", "", "WANTED", "GENERATION", "FOLLOWS", "LABELS"))
+    return answer_table(args, found, rows, ("BOARD", "", "WANTED", "GENERATION", "LABELS"))
 
 
 NOBODY = "no board is in the inventory, and no board's bridge is running"
@@ -70,7 +61,6 @@ def _plain(view: View | None) -> dict[str, Any]:
         "mode": wanted.mode if wanted else "",
         "generation": wanted.generation if wanted else 0,
         "by": wanted.by if wanted else "",
-        "follow": settings.follow if settings else "",
         "labels": list(settings.labels) if settings else [],
     }
 
@@ -91,11 +81,8 @@ def run_remove(args: argparse.Namespace) -> int:
 
 
 def run_store(args: argparse.Namespace) -> int:
-    """Show, or copy; the exit status."""
+    """Show; the exit status."""
     with connected_fleet(args) as fleet:
-        if args.verb == "move":
-            count = fleet.move_store(args.to, args.replace)
-            return answer(args, {"to": args.to, "values": count}, f"{count} values are in {args.to} now")
         print_json({name: entry.value for name, entry in fleet.stored().items()})
     return 0
 

@@ -58,12 +58,11 @@ def run_status(args: argparse.Namespace) -> int:
         print(NOBODY)
     else:
         print_table([_row(name, status) for name, status in found.items()], HEADERS)
-        print(clocks_line(found))
     return int(failed)
 
 
 NOBODY = "no board's bridge is running"
-HEADERS = ("BOARD", "CONFIG", "MODE", "STATE", "FLEET", "LABELS", "CLOCK", "NOTE")
+HEADERS = ("BOARD", "CONFIG", "MODE", "STATE", "FLEET", "LABELS", "NOTE")
 
 
 def _row(name: str, status: BoardStatus | ErrorInfo) -> tuple[object, ...]:
@@ -71,35 +70,11 @@ def _row(name: str, status: BoardStatus | ErrorInfo) -> tuple[object, ...]:
     from cm.wire.messages.status import ErrorInfo
 
     if isinstance(status, ErrorInfo):
-        return name, "", "", "no answer" if status.code == "no_answer" else status.code, "away", "", "", status.message
+        return name, "", "", "no answer" if status.code == "no_answer" else status.code, "away", "", status.message
     own = status.status
     why = note(name, status) or (own.last_error.message if own.last_error else "")
     state, fleet = "busy" if own.fpga_busy else own.pr_mode.value, status.fleet.state if status.fleet else ""
-    return name, own.config_name, own.mode, state, fleet, " ".join(status.labels), clock_words(status), why
-
-
-def clock_words(status: BoardStatus) -> str:
-    """How well a board's clock is set, in a few words."""
-    clock = status.clock
-    if not clock.source:
-        return "?"
-    if not clock.synchronised:
-        return f"not set ({clock.source})"
-    return f"±{clock.error_ns / 1e6:.3g} ms ({clock.source})" if clock.error_ns else f"set ({clock.source})"
-
-
-def clocks_line(found: Mapping[str, Any]) -> str:
-    """How closely timestamps of these boards agree."""
-    from cm.networks.fleet.status_text import said_apart
-    from cm.wire.messages.status import ErrorInfo
-
-    clocks = {name: status.clock for name, status in found.items() if not isinstance(status, ErrorInfo)}
-    apart = said_apart(clocks) if clocks else None
-    if apart is None:
-        loose = [name for name, clock in clocks.items() if not (clock.synchronised and clock.error_ns)]
-        which = f": how well the clock is set is not known of {', '.join(loose)}" if loose else ""
-        return f"stamps: nothing is promised between boards{which}"
-    return f"stamps: those of one instant differ by {apart / 1e6:.3g} ms at most, by what the boards say"
+    return name, own.config_name, own.mode, state, fleet, " ".join(status.labels), why
 
 
 def run_watch(args: argparse.Namespace) -> int:

@@ -10,7 +10,7 @@ from typing import Any
 
 from cm.errors import CmError
 from cm.networks.fleet.aio import Fleet
-from cm.networks.fleet.status_text import note, said_apart, stands_apart, wanted
+from cm.networks.fleet.status_text import note, stands_apart, wanted
 from cm.networks.fleet.store import StoreAway, StoreRefused
 from cm.web.topics import Topics
 from cm.wire.messages.fleet import BoardStatus
@@ -85,9 +85,8 @@ class FleetWatch:
             self._tell("")
 
     def _tell(self, problem: str) -> None:
-        apart = said_apart({name: status.clock for name, status in self._statuses.items()}) if self._statuses else None
         shown = [self._rows[name] for name in sorted(self._rows)[:_SHOWN]]
-        self._topics.tell("fleet", {"boards": shown, "count": len(self._rows), "problem": problem, "apart_ns": apart})
+        self._topics.tell("fleet", {"boards": shown, "count": len(self._rows), "problem": problem})
 
 
 def row(name: str, status: BoardStatus) -> dict[str, Any]:
@@ -100,7 +99,6 @@ def row(name: str, status: BoardStatus) -> dict[str, Any]:
         "state": own.pr_mode.value,
         "fraction": own.progress.fraction if own.progress else None,
         "labels": list(status.labels),
-        "clock_ns": status.clock.error_ns if status.clock.synchronised else None,
         "wanted": wanted(status.fleet).replace("/", " / "),
         "note": why,
         "differs": stands_apart(status),

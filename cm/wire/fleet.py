@@ -12,7 +12,6 @@ from cm.wire.encode import parsed
 from cm.wire.messages import fleet as fl
 from cm.wire.messages.status import ErrorInfo, RegValues
 
-_CLOCK = protobuf_messages.Twin(fl.ClockSync, pb.ClockSync)
 _STEP = protobuf_messages.Twin(fl.FleetStep, pb.FleetStep)
 _STATE = protobuf_messages.Twin(fl.FleetState, pb.FleetState, error=protobuf_messages.ERROR)
 _FETCH = protobuf_messages.Twin(fl.FetchBundle, pb.FetchBundle)
@@ -40,17 +39,16 @@ def policy(said: fl.Policy | str) -> fl.Policy:
         raise InvalidRequest(str(unknown)) from None
 
 
-def extras(labels: tuple[str, ...], clock: fl.ClockSync, state: fl.FleetState) -> bytes:
+def extras(labels: tuple[str, ...], state: fl.FleetState) -> bytes:
     """What is appended to a serialised Status: protobuf reads messages that follow each other as one."""
-    return pb.Status(labels=labels, clock=_CLOCK.to_pb(clock), fleet=_STATE.to_pb(state)).SerializeToString()
+    return pb.Status(labels=labels, fleet=_STATE.to_pb(state)).SerializeToString()
 
 
 def board_status(data: bytes) -> fl.BoardStatus:
     """A Status with what a bridge added. Raises InvalidRequest."""
     message = parsed(pb.Status, data)
     state = _STATE.from_pb(message.fleet) if message.HasField("fleet") else None
-    clock = _CLOCK.from_pb(message.clock)
-    return fl.BoardStatus(protobuf_messages.STATUS.from_pb(message), tuple(message.labels), clock, state)
+    return fl.BoardStatus(protobuf_messages.STATUS.from_pb(message), tuple(message.labels), state)
 
 
 def body(reply: bytes) -> tuple[str, bytes] | ErrorInfo:

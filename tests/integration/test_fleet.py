@@ -202,26 +202,6 @@ def test_a_stream_runs_only_while_there_is_a_listener(boards: Boards, three: tup
         until(lambda: not client.status.streams[0].open)
 
 
-def test_a_client_without_protobuf_asks_in_json(boards: Boards, three: tuple[Router, Boards, Fleet]) -> None:
-    with session(Network(connect=(three[0].endpoint,))) as plain:
-        found = _json(plain, "cm/b1/status?format=json")
-        assert found["cm/b1/status"]["config_name"] == "camera"
-        values = _json(plain, "cm/*/reg/led?format=json")
-        assert set(values) == {f"cm/{name}/reg/led" for name in boards}
-        written = {"writes": [{"name": "led", "value": 5}]}
-        reply = _json(plain, "cm/b1/do/reg/bob", json.dumps(written))
-        assert reply["cm/b1/do/reg/bob"]["registers"]["values"][0]["value"] == "5"
-        wrong = _json(plain, "cm/b1/do/reg/bob", '{"writings": 1}')
-        assert "WriteReg as JSON" in wrong["error"]["error"]["message"]
-        assert _json(plain, "cm/*/config?plan=edge_detection;format=json")["cm/b1/config"]["mode"] == "edge_detection"
-
-
-def _json(plain: zenoh.Session, selector: str, payload: str = "") -> dict[str, dict[str, object]]:
-    encoding = "application/json" if payload else None
-    replies = plain.get(selector, payload=payload or None, encoding=encoding, timeout=30, target=zenoh.QueryTarget.ALL)
-    return {str(r.ok.key_expr) if r.ok else "error": json.loads(bytes((r.ok or r.err).payload)) for r in replies}
-
-
 # ---- changing -----------------------------------------------------------------------------
 
 

@@ -217,19 +217,6 @@ def test_a_change_can_wait_for_a_board_that_is_away(boards: Boards, fleet: Fleet
     assert {board.place[1] for board in boards.values()} == {"colorise"}
 
 
-def test_a_board_that_follows_nobody_is_told_and_stays(boards: Boards, fleet: Fleet) -> None:
-    b03 = boards["b03"]
-    b03.bridge.end()
-    until(lambda: "b03" not in fleet.boards())
-    without(fleet, "colorise", {"b03"})
-    command, b03.bridge._command = b03.bridge._command, [*b03.bridge._command, "--follow", "local"]
-    b03.bridge.start()
-    until(lambda: state(fleet, "b03").state == "local")
-    assert b03.place[1] == "default"
-    b03.bridge._command = command
-    b03.bridge.end()
-
-
 def test_while_the_store_is_away_no_change_begins_and_everything_local_goes_on(
     boards: Boards, three: tuple[Router, Boards, Fleet], fleet: Fleet, store: str
 ) -> None:

@@ -35,7 +35,6 @@ from cm.networks.fleet.store import (
     StoreAway,
     StoreRefused,
     View,
-    copied,
     key,
     packed,
     views,
@@ -271,18 +270,6 @@ class Fleet:
     async def stored(self) -> dict[str, Entry]:
         """Everything in the store, as it lies there."""
         return await self._store.get("")
-
-    async def move_store(self, to: str, replace: bool = False) -> int:
-        """Copy the wanted state into another store; how many values there were.
-
-        `replace`: also into one that has some, such as that from which it was moved once; that is gone then. Raises
-        StoreRefused if a change is open in either, if the other is not empty or, with `replace`, if it is the newer.
-        """
-        other = opened_store(dataclasses.replace(self._network, store=to), self.session, self.caller)
-        try:
-            return await copied(self._store, other, to, self.caller, replace)
-        finally:
-            await other.close()
 
     async def reconcile(self, boards: str | Iterable[str] = ALL) -> dict[str, FleetState | ErrorInfo]:
         """Have boards go to what is wanted of them now: also if somebody took them elsewhere, or it failed before.

@@ -76,7 +76,6 @@ class Fleet:
     add = _blocking(aio.Fleet.add)
     remove = _blocking(aio.Fleet.remove)
     stored = _blocking(aio.Fleet.stored)
-    move_store = _blocking(aio.Fleet.move_store)
     status = _blocking(aio.Fleet.status)
     plan = _blocking(aio.Fleet.plan)
     read = _blocking(aio.Fleet.read)

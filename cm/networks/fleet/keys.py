@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keys of a fleet, ``cm/<board>/{alive,status,config,reg/*,irq/*,frames/*,do/<verb>[/<caller>]}``, and their commands.
-
-A command under ``do/`` has a message that carries it to the manager, and a role that it needs.
-"""
+"""Keys of a fleet, ``cm/<board>/{alive,status,config,reg/*,irq/*,frames/*,do/<verb>[/<caller>]}``, and their commands."""
 
 from __future__ import annotations
 
@@ -63,23 +60,22 @@ def command_of(key_expression: str) -> Command | None:
 
 @dataclass(frozen=True, slots=True)
 class Verb:
-    """A command: its message, and its topic at the manager; without a topic the bridge carries it out itself."""
+    """A command: the role that it needs, and its topic at the manager; without one the bridge carries it out itself."""
 
-    message: str
     role: str
     topic: bytes = b""
 
 
 VERBS = {
-    "mode": Verb("WriteConfig", "operate", topics.WRITE_CONFIG),
-    "reg": Verb("WriteReg", "operate", topics.WRITE_REG),
-    "stream": Verb("DataConfig", "operate", topics.DATA_CONFIG),
-    "data": Verb("WriteData", "operate", topics.WRITE_DATA),
-    "lease": Verb("Lease", "operate", topics.LEASE),
-    "upload": Verb("Upload", "operate", topics.UPLOAD),
-    "provision": Verb("WriteConfig", "provision", topics.WRITE_CONFIG),
-    "prepare": Verb("FleetStep", "operate"),
-    "apply": Verb("FleetStep", "operate"),
-    "reconcile": Verb("FleetStep", "operate"),
-    "bundle": Verb("FetchBundle", "provision"),
+    "mode": Verb("operate", topics.WRITE_CONFIG),
+    "reg": Verb("operate", topics.WRITE_REG),
+    "stream": Verb("operate", topics.DATA_CONFIG),
+    "data": Verb("operate", topics.WRITE_DATA),
+    "lease": Verb("operate", topics.LEASE),
+    "upload": Verb("operate", topics.UPLOAD),
+    "provision": Verb("provision", topics.WRITE_CONFIG),
+    "prepare": Verb("operate"),
+    "apply": Verb("operate"),
+    "reconcile": Verb("operate"),
+    "bundle": Verb("provision"),
 }

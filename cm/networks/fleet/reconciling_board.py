@@ -127,12 +127,12 @@ class Board:
     """One board: what it does for its fleet, it does one after the other."""
 
     def __init__(
-        self, name: str, store: Store, manager: OwnManager, disk: Disk, now: Callable[[], float], follow: str = "fleet",
+        self, name: str, store: Store, manager: OwnManager, disk: Disk, now: Callable[[], float],
         sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
     ) -> None:  # fmt: skip
         """`now` is monotonic; nothing that it says is written down."""
         self._name, self._store, self._manager, self._disk, self._now = name, store, manager, disk, now
-        self._follow, self._sleep = follow, sleep
+        self._sleep = sleep
         self._listening: set[asyncio.Future[None]] = set()  # steps that wait for the store's word
         self._asked = 0.0  # when a coordinator asked last
         self.wake = asyncio.Event()  # set: it has to be looked at, if no step does that meanwhile
@@ -166,8 +166,6 @@ class Board:
             return "behind"
         if wanted.generation == notes.reached:
             return "there" if self.place == wanted.place else "drift"
-        if self._follow == "local":
-            return "local"
         return "failed" if self._error and not self._going else "going"
 
     # ---- what a coordinator asks for ----------------------------------------------------------
@@ -342,7 +340,7 @@ class Board:
     @property
     def unsettled(self) -> bool:
         """Whether it has to be looked at again without being told to."""
-        wanted = self._view.generation > self._notes.reached and self._follow == "fleet"
+        wanted = self._view.generation > self._notes.reached
         return self._notes.part is not None or wanted or bool(self._store_error)
 
     async def _reconcile(self, again: bool, asked: bool) -> None:
@@ -360,7 +358,7 @@ class Board:
         wanted = self._view.wanted
         if wanted is None:
             return
-        if wanted.generation <= self._notes.reached or self._follow != "fleet":
+        if wanted.generation <= self._notes.reached:
             self._error = None
         elif self._now() >= self._again:
             await self._go(wanted.place, wanted.by, wanted.generation)

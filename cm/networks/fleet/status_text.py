@@ -1,17 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the statuses of a fleet say to people: how each board stands to what is wanted, and how closely clocks agree."""
+"""What the statuses of a fleet say to people: how each board stands to what is wanted."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-from cm.wire.messages.fleet import BoardStatus, ClockSync, FleetState
+from cm.wire.messages.fleet import BoardStatus, FleetState
 
 FINE = ("free", "there")
 _OPEN = ("prepared", "changing", "changed", "failing")
 _NOTES = {
     "drift": "somebody took it elsewhere, which stays until something new is wanted: `cm fleet reconcile {board}`",
-    "local": "it follows nobody (--follow local): `cm fleet mode {mode} {board}` while it is there",
     "behind": "it has seen generation {generation}: the store was set back, and it stays where it is",
     "going": "on its way",
 }
@@ -44,15 +41,3 @@ def note(board: str, status: BoardStatus) -> str:
 def wanted(state: FleetState | None) -> str:
     """Where a board is wanted; empty if nobody ever wanted anything."""
     return f"{state.wanted_config}/{state.wanted_mode}" if state is not None and state.wanted_generation else ""
-
-
-def said_apart(clocks: Mapping[str, ClockSync]) -> int | None:
-    """How far timestamps of one instant may differ between these boards, ns, as they say themselves.
-
-    None if one of them is not synchronised, or cannot tell. The errors of two boards add up; this holds only if all
-    follow the same reference.
-    """
-    errors = sorted((c.error_ns for c in clocks.values() if c.synchronised and c.error_ns), reverse=True)
-    if len(errors) != len(clocks):
-        return None
-    return sum(errors[:2]) if len(errors) > 1 else 0

@@ -4,7 +4,7 @@
 A store is one sequence of transactions. All keys and values are text; `revision` numbers the transactions.
 
     generation              number of the newest change that was opened
-    boards/<name>/settings  the board is in the inventory: its labels, whether it follows the fleet
+    boards/<name>/settings  the board is in the inventory: its labels
     boards/<name>/wanted    where it is to be, and since which generation
     boards/<name>/claim     the change that is open here; lies under its coordinator's lease, and vanishes with it
 """
@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import AsyncIterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple, Protocol
 
@@ -84,10 +84,9 @@ class Store(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """Of a board of the inventory. `follow`: "fleet", or "local": then it is told what is wanted, and stays."""
+    """Of a board of the inventory."""
 
     labels: tuple[str, ...] = ()
-    follow: str = "fleet"
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +139,6 @@ class View:
         return (self.revisions or {}).get(part, 0)
 
 
-_NEVER = Entry("0", 0)
 _KINDS: dict[str, Any] = {"settings": Settings, "wanted": Wanted, "claim": Claim}
 
 
@@ -166,33 +164,6 @@ def views(found: Mapping[str, Entry]) -> dict[str, View]:
     return {board: View(revisions=revisions[board], **values) for board, values in sorted(parts.items())}
 
 
-async def copied(source: Store, target: Store, name: str, caller: str, over: bool) -> int:
-    """The wanted state into another store, which is called `name`, in its caller's name; how many values there are.
-
-    `over`: also into one that has some, which is not newer; broken off, it can be done again so. Raises StoreRefused.
-    """
-    found, there = await source.get(""), await target.get("")
-    known, last = views(found), int(there.get(GENERATION, _NEVER).value)
-    if any(view.open for view in (*known.values(), *views(there).values())):
-        raise StoreRefused("a change is open: wait for its end")
-    if there and not over:
-        raise StoreRefused(
-            f"{name} has wanted state already, up to generation {last}: --replace puts this in its place"
-        )
-    if last > (newest := int(found.get(GENERATION, _NEVER).value)):
-        raise StoreRefused(f"{name} has wanted state up to generation {last}, newer than the {newest} here")
-    kept = {k: entry.value for k, entry in found.items() if not k.endswith(("/claim", "/wanted"))}
-    for board, view in known.items():  # in the name of who moves it: a keeper lets nobody else's in
-        if view.wanted:
-            kept[key(board, "wanted")] = packed(replace(view.wanted, by=caller))
-    puts = {**dict.fromkeys(there), **{k: Put(value) for k, value in kept.items()}}
-    for k, put in puts.items():  # one by one: a store bounds the length of a transaction
-        done = await target.txn({k: there[k].revision if k in there else 0}, {k: put})
-        if not done and (await target.get(k)).get(k, Entry("", 0)).value != (put.value if put else ""):
-            raise StoreRefused(f"{name}: somebody else writes {k}: --replace begins again")
-    return len(kept)
-
-
 def _unpacked(name: str, part: str, text: str) -> Any:
     try:
         return _read(part, text)
@@ -204,4 +175,4 @@ def _unpacked(name: str, part: str, text: str) -> Any:
 def _read(part: str, text: str) -> Settings | Wanted | Claim:
     plain = json.loads(text)
     made = _KINDS[part](**{field: plain[field] for field in _KINDS[part].__slots__ if field in plain})
-    return Settings(tuple(made.labels), made.follow) if part == "settings" else made
+    return Settings(tuple(made.labels)) if part == "settings" else made

@@ -11,13 +11,13 @@ export class Fleet {
     const there = fleet.boards.filter((board) => board.state !== "gone").length;
     const more = fleet.count > fleet.boards.length ? ` The first ${fleet.boards.length} of ${fleet.count} are shown.` : "";
     const named = listed("Gone", fleet, (board) => board.state === "gone") + listed("Elsewhere than wanted", fleet, apart);
-    text(byId("fleet-about"), fleet.problem || `${there} of ${fleet.count} are there. ${named}${agreement(fleet)}${more}`);
+    text(byId("fleet-about"), fleet.problem || `${there} of ${fleet.count} are there. ${named}${more}`);
     const node = byId("fleet-boards");
     keyed(node, fleet.boards, (board) => board.name, (board) => {
       const parts = { loaded: h("span"), labels: h("span", { class: "muted small" }), note: h("span", { class: "muted small" }),
-        clock: h("span", { class: "muted small" }), state: h("span", { class: "pill" }) };
+        state: h("span", { class: "pill" }) };
       const line = h("div", { class: "row line", "data-fleet-board": board.name }, h("code", { text: board.name }), parts.state,
-        parts.loaded, parts.labels, h("span", { class: "stretch" }), parts.note, parts.clock);
+        parts.loaded, parts.labels, h("span", { class: "stretch" }), parts.note);
       return { node: line, parts };
     }, ({ parts }, board) => {
       const share = board.fraction === null ? "" : ` ${Math.round(board.fraction * 100)} %`;
@@ -27,7 +27,6 @@ export class Fleet {
       text(parts.loaded, (board.loaded || "nothing loaded") + elsewhere);
       text(parts.labels, board.labels.join(" "));
       text(parts.note, board.note);
-      text(parts.clock, board.clock_ns ? `±${(board.clock_ns / 1e6).toPrecision(2)} ms` : "");
     });
     empty(node, !fleet.boards.length, "No board's bridge is there.");
   }
@@ -40,9 +39,4 @@ function listed(what, fleet, which) {
   const names = fleet.boards.filter(which).map((board) => board.name);
   const shown = names.slice(0, 10).join(", ") + (names.length > 10 ? ` and ${names.length - 10} more` : "");
   return names.length ? `${what}: ${shown}. ` : "";
-}
-
-function agreement(fleet) {
-  if (fleet.apart_ns === null) return "How far their clocks agree is not known of all.";
-  return `Their clocks agree to ${(fleet.apart_ns / 1e6).toPrecision(2)} ms.`;
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from enum import Enum
 
-from cm.frozen import dataclass, field
+from cm.frozen import dataclass
 from cm.wire.messages.status import ErrorInfo, Status
 
 
@@ -37,17 +37,6 @@ class Decision(str, Enum):
 
     KEEP = "keep"
     REVERT = "revert"
-
-
-@dataclass(frozen=True, slots=True)
-class ClockSync:
-    """How well a board's clock is set: its reading is off the reference by `error_ns` at most (0: not known)."""
-
-    source: str = ""
-    synchronised: bool = False
-    error_ns: int = 0
-    reference: str = ""
-    now_ns: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,5 +102,4 @@ class BoardStatus:
 
     status: Status
     labels: tuple[str, ...] = ()
-    clock: ClockSync = field(default_factory=ClockSync)
     fleet: FleetState | None = None

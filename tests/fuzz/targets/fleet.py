@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Queries that reach a board's bridge: each is answered, with what its manager says or with a Reply that refuses it.
 
-An input is a key, the selector's parameters, a payload and what travels beside it; JSON where the first byte is odd.
+An input is a key, the selector's parameters, a payload and what travels beside it.
 """
 
 from __future__ import annotations
@@ -80,10 +80,9 @@ class _Manager:
 class _Query:
     """As zenoh hands one out."""
 
-    def __init__(self, key: Any, parameters: Any, payload: bytes | None, attachment: bytes | None, json: bool) -> None:
+    def __init__(self, key: Any, parameters: Any, payload: bytes | None, attachment: bytes | None) -> None:
         self.key_expr, self.parameters = key, parameters
         self.payload, self.attachment = payload, attachment
-        self.encoding = "application/json" if json else ""
         self.answers: list[tuple[bytes, str]] = []
 
     def __enter__(self) -> None: ...
@@ -106,17 +105,15 @@ def seeds() -> list[bytes]:
     found += [
         [b"cm/b1/do/bundle/anna", b"", fetch, b""],
         [b"cm/b1/do/data/anna", b"", b"1234", pb.WriteData(stream="camera").SerializeToString()],
-        [b"cm/b1/do/reg/anna", b"format=json", b'{"writes": [{"name": "led", "value": 5}]}', b""],
-        [b"cm/b1/do/prepare/anna", b"format=json", b'{"id": "c1", "generation": "4", "mode": "edge"}', b""],
-        [b"cm/*/reg/led", b"format=json", b"", b""],
+        [b"cm/*/reg/led", b"", b"", b""],
         [b"cm/b1/config", b"plan=edge;config=camera", b"", b""],
         [b"cm/b1/frames/camera", b"", b"", b""],
     ]
-    return [bytes([number & 1]) + join(each) for number, each in enumerate(found)]
+    return [join(each) for each in found]
 
 
 def one(data: bytes) -> None:
-    pieces = [*split(data[1:]), b"", b"", b"", b""]
+    pieces = [*split(data), b"", b"", b"", b""]
     try:
         key = zenoh.KeyExpr(pieces[0].decode())
         parameters = zenoh.Parameters(pieces[1].decode())
@@ -124,13 +121,10 @@ def one(data: bytes) -> None:
         return  # nothing that the network would have carried
     if not key.intersects(zenoh.KeyExpr("cm/b1/**")):
         return
-    json = bool(data[0] & 1)
-    query = _Query(key, parameters, pieces[2] or None, pieces[3] or None, json)
+    query = _Query(key, parameters, pieces[2] or None, pieces[3] or None)
     asyncio.run(_answered(query))
     for payload, encoding in query.answers:
-        if encoding == "application/json":
-            payload.decode()
-        elif encoding.endswith("cm.Reply"):
+        if encoding.endswith("cm.Reply"):
             pb.Reply.FromString(payload)
 
 

@@ -11,7 +11,7 @@ from cm.networks.fleet.store import Entry, views
 from cm.web.fleet import row
 from cm.wire import cm_pb2 as pb
 from cm.wire import fleet as wire
-from cm.wire.messages.fleet import ClockSync, FleetState
+from cm.wire.messages.fleet import FleetState
 from cm.wire.messages.status import ErrorInfo, RegValues
 
 PACKAGES = ("cm.wire", "cm.networks.fleet", "cm.web.fleet")
@@ -26,7 +26,7 @@ def seeds() -> list[bytes]:
         b'{"generation":3,"config":"camera","mode":"edge","by":"anna","change":"c1"}',
         wire.encode_answer(record),
         wire.encode_answer(error),
-        status + wire.extras(("north",), ClockSync("chrony", True, 1500, "192.0.2.1", 10**18), record),
+        status + wire.extras(("north",), record),
         pb.RegValues(values=[pb.RegValue(name="led", value=3)]).SerializeToString(),
         pb.Irq(name="done", count=1).SerializeToString(),
     ]

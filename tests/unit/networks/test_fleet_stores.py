@@ -30,7 +30,6 @@ from cm.networks.fleet.store import (
     StoreAway,
     StoreRefused,
     Wanted,
-    copied,
     key,
     packed,
     views,
@@ -65,46 +64,6 @@ def test_a_transaction_is_done_whole_or_not_at_all(ledger: Callable[..., Ledger]
     assert store.txn({"a": 0}, {"b": Put("3")}) == 0
     assert store.txn({"a": first, "b": first}, {"a": None, "b": Put("4")}) == first + 1
     assert store.get("") == {"b": Entry("4", first + 1)}
-
-
-class Kept:
-    """A ledger as `copied` has a store."""
-
-    def __init__(self, ledger: Ledger) -> None:
-        self._ledger = ledger
-
-    async def get(self, prefix: str) -> dict[str, Entry]:
-        return self._ledger.get(prefix)
-
-    async def txn(self, expect: dict[str, int], puts: dict[str, Put | None]) -> int:
-        return self._ledger.txn(expect, puts)
-
-
-def test_the_wanted_state_moves_away_and_back_and_never_over_what_is_newer(ledger: Callable[..., Ledger]) -> None:
-    first, second = ledger(), ledger()
-
-    def want(store: Ledger, generation: int, *boards: str) -> None:
-        puts = {key(b, "wanted"): Put(packed(Wanted(generation, "camera", "edge", "anna", "c"))) for b in boards}
-        store.txn({}, {**puts, "generation": Put(str(generation))})
-
-    def move(one: Ledger, other: Ledger, over: bool = False) -> int:
-        return asyncio.run(copied(Kept(one), Kept(other), "etcd", "bob", over))  # type: ignore[arg-type]
-
-    want(first, 1, "b1", "b2")
-    assert move(first, second) == 3
-    assert {view.wanted.by for view in views(second.get("")).values() if view.wanted} == {"bob"}
-    want(second, 2, "b1")
-    second.txn({}, {key("b2", "wanted"): None})  # it left the inventory
-    with pytest.raises(StoreRefused, match="etcd has wanted state already, up to generation 1: --replace"):
-        move(second, first)
-    assert move(second, first, over=True) == 2
-    assert {name: view.generation for name, view in views(first.get("")).items()} == {"b1": 2}
-    want(first, 3, "b1")
-    with pytest.raises(StoreRefused, match="up to generation 3, newer than the 2 here"):
-        move(second, first, over=True)
-    first.txn({}, {key("b1", "claim"): Put(packed(Claim(4, "c", "anna")))})
-    with pytest.raises(StoreRefused, match="a change is open"):
-        move(first, second, over=True)
 
 
 def test_what_lies_under_a_lease_goes_with_it_by_the_keepers_own_clock(ledger: Callable[..., Ledger]) -> None:

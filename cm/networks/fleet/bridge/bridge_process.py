@@ -9,7 +9,7 @@ import os
 import time
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -20,7 +20,6 @@ from cm.client.errors import NotAdmitted
 from cm.errors import Busy, CmError, NotInstalled
 from cm.home import state_home
 from cm.networks.fleet import keys
-from cm.networks.fleet.bridge import clock
 from cm.networks.fleet.bridge.bundles import Bundles, Import
 from cm.networks.fleet.bridge.managed_board import ManagedBoard, seen
 from cm.networks.fleet.bridge.notes_file import NotesFile
@@ -32,7 +31,6 @@ from cm.networks.fleet.store import BOARDS, Settings, Store, StoreAway, StoreRef
 from cm.networks.fleet.zenoh_session import Network, closed, hears, is_alive, session
 from cm.wire import fleet as wire
 from cm.wire import topics
-from cm.wire.messages.fleet import ClockSync
 from cm.wire.messages.status import ErrorInfo
 
 _T = TypeVar("_T")
@@ -40,7 +38,6 @@ _LOG = logging.getLogger("cm.fleet")
 _RECONNECT = 1.0  # seconds between two tries to reach a manager, or the network
 _TOGETHER = 0.25  # seconds in which whoever changes the fleet asks anyway: then nothing is left to be looked at
 _HEAR, _LISTEN, _ANSWER = 60.0, 10.0, 5.0  # seconds between two questions to ourselves; after a change; for an answer
-_CLOCK = 10.0  # seconds between two checks of how well the clock is set
 
 
 class Deaf(CmError):
@@ -61,7 +58,6 @@ class Options:
     name: str = ""  # of the board; empty: the manager's name for it
     labels: tuple[str, ...] = ()
     take: Import | None = None  # puts an archive in force; None: none are taken
-    follow: str = "fleet"  # or "local": told what is wanted, and staying where it is
     joins: bool = False  # puts itself into the inventory
     keeps: bool = False  # is the fleet's keeper
 
@@ -76,7 +72,6 @@ class Bridge:
     _unread: bool = False  # that status, as far as it concerns us
     _seen: Seen | None = None  # as the manager told last; None while it changes, or is away
     _streams: tuple[str, ...] = ()  # likewise
-    _clock: ClockSync = field(default_factory=ClockSync)
 
     async def run(self) -> None:
         """Raises NotAdmitted if the manager does not admit us, Busy if the board's name is taken."""
@@ -123,16 +118,15 @@ class Bridge:
         """Until one of the tasks ends, or of `more`: whatever a bridge promises goes on, or it ends as a whole."""
         store = opened_store(self.options.network, network, board)
         managed = ManagedBoard(relay, self._seen_now)
-        self._board = Board(board, store, managed, NotesFile(folder), time.monotonic, self.options.follow)
+        self._board = Board(board, store, managed, NotesFile(folder), time.monotonic)
         bundles = Bundles(network, folder / "bundles", self.options.take, managed, lambda: self._board.in_a_change)
         publications = Publications(board, network, relay, self._with_extras)
         queries = Queries(board, network, self._board, managed, partial(self._status_now, relay), bundles.fetch)
-        self._clock = await asyncio.to_thread(clock.read)
         token = network.liveliness().declare_token(keys.key(board, "alive"))  # last: who sees it may ask
         self.ready(board)
         told = relay.subscribe(topics.STATUS, topics.READ_REG, topics.IRQ, take=partial(self._told, publications))
         work = (
-            relay.refused(), self._beat(publications), self._look_at_clock(), self._reconcile(publications),
+            relay.refused(), self._beat(publications), self._reconcile(publications),
             self._follow_store(board, store), self._hear(board), *more,
         )  # fmt: skip
         tasks = [asyncio.ensure_future(each) for each in work]
@@ -159,8 +153,7 @@ class Bridge:
         return self._with_extras()
 
     def _with_extras(self) -> bytes:
-        now = replace(self._clock, now_ns=time.time_ns())
-        return self._status + wire.extras(self.options.labels, now, self._board.state)
+        return self._status + wire.extras(self.options.labels, self._board.state)
 
     # ---- what goes on by itself -------------------------------------------------------------
 
@@ -199,7 +192,7 @@ class Bridge:
 
     async def _follow_store(self, board: str, store: Store) -> None:
         """Look whenever something of this board changes in the store; be in its inventory first."""
-        own, said = Settings(self.options.labels, self.options.follow), False
+        own, said = Settings(self.options.labels), False
         async for changes in store.watch(f"{BOARDS}{board}/"):
             self._board.told(changes)
             if said and self._board.listed:
@@ -243,11 +236,6 @@ class Bridge:
             quiet_until = time.monotonic() + (0.0 if heard is None else _HEAR)
             missed = missed + 1 if before and heard is False else 0
         raise Deaf("the network brings us nothing any more: the session is opened anew")
-
-    async def _look_at_clock(self) -> None:
-        while True:
-            await asyncio.sleep(_CLOCK)
-            self._clock = await asyncio.to_thread(clock.read)
 
 
 async def _tried(work: Callable[[], Awaitable[_T]]) -> _T:

@@ -24,12 +24,10 @@ from cm.networks.fleet.reconciling_board import Board
 from cm.networks.fleet.zenoh_session import in_loop, zenoh_module
 from cm.wire import fleet as wire
 from cm.wire.encode import encode_request
-from cm.wire.json_text import from_json, to_json
 from cm.wire.messages import requests as rq
 from cm.wire.messages.fleet import BundleState, FetchBundle
 from cm.wire.messages.status import ErrorInfo
 
-JSON = "application/json"
 MANY = 64  # commands that may be under way at once
 _TIMEOUT = 30.0  # seconds; a plan reads and checks files
 _LOG = logging.getLogger("cm.fleet")
@@ -78,31 +76,27 @@ class Queries:
 
     async def answer(self, query: Any) -> None:
         """All samples that match, or one error."""
-        words = dict(query.parameters)
-        as_json = words.get("format") == "json" or str(query.encoding or "").startswith(JSON)
         with query:
             try:
-                for sample in await self._samples(query, words, as_json):
-                    shown, kind = _shown(sample.kind, sample.message, as_json)
+                for sample in await self._samples(query):
                     if sample.payload is None:
-                        query.reply(sample.key, shown, encoding=kind)
+                        query.reply(sample.key, sample.message, encoding=encoding(sample.kind))
                     else:
-                        query.reply(sample.key, sample.payload, encoding="zenoh/bytes", attachment=shown)
+                        query.reply(sample.key, sample.payload, encoding="zenoh/bytes", attachment=sample.message)
             except CmError as error:  # with the board's name in it: an error reply has no key
                 refusal = wire.encode_answer(ErrorInfo(error.code, f"{self.name}: {error}"))
-                shown, kind = _shown("Reply", refusal, as_json)
-                query.reply_err(shown, encoding=kind)
+                query.reply_err(refusal, encoding=encoding("Reply"))
 
-    async def _samples(self, query: Any, words: Mapping[str, str], as_json: bool) -> list[Sample]:
+    async def _samples(self, query: Any) -> list[Sample]:
         wanted = str(query.key_expr)
         command = keys.command_of(wanted)
         if command is not None:
             key = self._key(keys.command(command.verb, command.caller))
-            return [Sample(key, "Reply", await self._command(command, query, as_json))]
+            return [Sample(key, "Reply", await self._command(command, query))]
         parts = wanted.split("/")
         if len(parts) == 4 and parts[2] in ("reg", "irq", "frames") and not keys.WILD & set(parts[3]):
             return [await self._one(*parts[2:])]
-        expression = zenoh_module().KeyExpr
+        expression, words = zenoh_module().KeyExpr, dict(query.parameters)
         found = await self._matching(lambda *rest: bool(query.key_expr.intersects(expression(self._key(*rest)))), words)
         if not found and not keys.WILD & set(wanted):  # no answer at all would look like an absent board
             raise NotFound(f"there is nothing under {wanted}")
@@ -142,14 +136,12 @@ class Queries:
 
     # ---- commands ---------------------------------------------------------------------------
 
-    async def _command(self, command: keys.Command, query: Any, as_json: bool) -> bytes:
+    async def _command(self, command: keys.Command, query: Any) -> bytes:
         """Carry it out; returns a serialised Reply, also for an error."""
         message = bytes(query.payload) if query.payload is not None else b""
         beside: list[bytes] = []
         if query.attachment is not None:  # data travel beside their message, as everywhere
             message, beside = bytes(query.attachment), [message]
-        if as_json and command.verb in VERBS and message:
-            message = from_json(VERBS[command.verb].message, message)
         try:
             if self._room.locked():
                 raise Busy(f"{MANY} commands are under way on this board's bridge already")
@@ -175,7 +167,3 @@ def _about_config(words: Mapping[str, str]) -> rq.Request:
         return rq.ListConfigs()
     config = words.get("config", "")
     return rq.PlanChange(config, words["plan"]) if "plan" in words else rq.ReadConfig(config)
-
-
-def _shown(kind: str, message: bytes, as_json: bool) -> tuple[bytes, str]:
-    return (to_json(kind, message).encode(), JSON) if as_json else (message, encoding(kind))
