@@ -106,18 +106,9 @@ def encode_fetch(fetch: fl.FetchBundle) -> bytes:
 def decode_fetch(data: bytes) -> fl.FetchBundle:
     """The inverse of `encode_fetch`. Raises InvalidRequest."""
     m = parsed(pb.FetchBundle, data)
-    wanted = -(-m.length // m.part_length) if m.part_length else 0
-    hashes = (m.sha256, *m.parts)
-    if not m.length or len(m.parts) != wanted or not all(map(_is_sha256, hashes)):
-        raise InvalidRequest(
-            f"a bundle of {m.length} bytes in parts of {m.part_length} has {wanted} parts, each with its sha256 "
-            f"(64 hexadecimal digits); {len(m.parts)} are named"
-        )
+    if not m.length or len(m.sha256) != 64 or not set(m.sha256) <= set("0123456789abcdef"):
+        raise InvalidRequest(f"a bundle has a length, not {m.length}, and a sha256 of 64 hexadecimal digits")
     return _FETCH.from_pb(m)
-
-
-def _is_sha256(text: str) -> bool:
-    return len(text) == 64 and set(text) <= set("0123456789abcdef")
 
 
 def encode_answer(body: fl.FleetState | fl.BundleState | ErrorInfo) -> bytes:

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from manager_process import Manager, served, until
 
-from cm.networks.fleet.bundles import described, part_key
+from cm.networks.fleet.bundles import described, where
 from cm.networks.fleet.zenoh_session import Network, session
 from cm.simulation.software import Board as SimBoard
 from cm.wire.fleet import encode_fetch
@@ -188,7 +188,7 @@ def test_a_fleets_bridge_ends_while_many_wait_for_a_manager_that_hangs(met: tupl
 def test_a_fleets_bridge_ends_while_it_fetches_an_archive(met: tuple[FleetBoard, Any], tmp_path: Path) -> None:
     board, there = met
     held: queue.Queue[Any] = queue.Queue()
-    offer = there.declare_queryable(part_key("*", "*"), held.put)
+    offer = there.declare_queryable(where("*"), held.put)
     archive = tmp_path / "a"
     archive.write_bytes(bytes(2 << 20))
     _ask(there, "cm/b1/do/bundle/anna", encode_fetch(described(archive)))

@@ -13,7 +13,7 @@ import pytest
 from fleet_support import VISION, Router
 from manager_process import until
 
-from cm.networks.fleet.bundles import Pace, PartMissing, described, fetched, offered
+from cm.networks.fleet.bundles import BundleMissing, Pace, described, fetched, offered
 from cm.networks.fleet.zenoh_session import Network, session
 
 pytestmark = pytest.mark.networks
@@ -38,28 +38,30 @@ def joined(router: Router) -> Any:
 
 
 def test_pieces_that_have_arrived_are_not_fetched_again(router: Router, packed: Path, tmp_path: Path) -> None:
-    bundle, here = described(packed, 20_000), tmp_path / "here"
-    here.write_bytes(packed.read_bytes()[:45_000])  # cut off within the third
+    bundle, here = described(packed), tmp_path / "here"
+    here.write_bytes(packed.read_bytes()[:45_000])
     with joined(router) as ours, joined(router) as theirs, offered(ours, packed, bundle) as sent:
         fetched(theirs, bundle, here)
         assert sent() == bundle.length - 45_000
         assert here.read_bytes() == packed.read_bytes()
-        here.write_bytes(packed.read_bytes()[:43_000] + b"torn")
-        fetched(theirs, bundle, here)  # its part from the beginning
-        assert here.read_bytes() == packed.read_bytes()
         here.write_bytes(b"torn" + packed.read_bytes()[4:])
-        with pytest.raises(PartMissing, match="do not make the archive that was announced"):
+        with pytest.raises(BundleMissing, match="is not the archive that was announced"):
             fetched(theirs, bundle, here)
         fetched(theirs, bundle, here)  # from the beginning
     assert here.read_bytes() == packed.read_bytes()
 
 
-def test_a_part_with_a_wrong_hash_is_not_accepted(router: Router, packed: Path, tmp_path: Path) -> None:
-    bundle, changed = described(packed, 20_000), tmp_path / "changed"
+def test_an_archive_that_became_another_or_shorter_is_not_accepted(
+    router: Router, packed: Path, tmp_path: Path
+) -> None:
+    bundle, changed, here = described(packed), tmp_path / "changed", tmp_path / "here"
     changed.write_bytes(packed.read_bytes()[:30_000] + b"x" + packed.read_bytes()[30_001:])
-    refused = pytest.raises(PartMissing, match=r"nobody offers part .* \(20000 bytes are here\)")
-    with joined(router) as ours, joined(router) as theirs, offered(ours, changed, bundle), refused:
-        fetched(theirs, bundle, tmp_path / "here", patience=0.3)
+    with joined(router) as ours, joined(router) as theirs, offered(ours, changed, bundle):
+        with pytest.raises(BundleMissing, match="is not the archive that was announced"):
+            fetched(theirs, bundle, here)
+        changed.write_bytes(packed.read_bytes()[:2560])
+        with pytest.raises(BundleMissing, match=r"nobody offers it any more \(2560 bytes are here\)"):
+            fetched(theirs, bundle, here, patience=0.3)
 
 
 def test_a_piece_is_as_long_as_comes_in_a_fifth_of_a_second_and_never_much_longer_than_the_last() -> None:
@@ -72,7 +74,7 @@ def test_a_piece_is_as_long_as_comes_in_a_fifth_of_a_second_and_never_much_longe
 
 
 def test_nothing_is_fetched_while_a_change_is_open(router: Router, packed: Path, tmp_path: Path) -> None:
-    bundle, here = described(packed, 20_000), tmp_path / "here"
+    bundle, here = described(packed), tmp_path / "here"
     busy = threading.Event()
     with joined(router) as ours, joined(router) as theirs, offered(ours, packed, bundle) as sent:
         busy.set()

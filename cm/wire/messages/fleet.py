@@ -75,12 +75,10 @@ class FleetState:
 
 @dataclass(frozen=True, slots=True)
 class FetchBundle:
-    """An archive that a board is to fetch: its sha256 and those of its parts, each of `part_length` but the last."""
+    """An archive that a board is to fetch."""
 
     sha256: str
     length: int
-    parts: tuple[str, ...]
-    part_length: int
     name: str = ""
 
 

@@ -99,7 +99,7 @@ class _Query:
 
 def seeds() -> list[bytes]:
     step = encode_step(FleetStep("c1", "camera", "edge", 4))
-    fetch = encode_fetch(FetchBundle("0" * 64, 5, ("1" * 64, "2" * 64), 4, "a.tar.gz"))
+    fetch = encode_fetch(FetchBundle("0" * 64, 5, "a.tar.gz"))
     verbs = ("prepare", "apply", "reconcile")
     found = [[f"cm/b1/do/{verb}/anna".encode(), b"", step, b""] for verb in verbs]
     found += [

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Archives that the fleet sends: fetched part by part, checked, and put in force as ``cm import archive`` does it."""
+"""Archives that the fleet sends: fetched piece by piece, checked, and put in force as ``cm import archive`` does it."""
 
 from __future__ import annotations
 
