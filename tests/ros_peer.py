@@ -4,18 +4,17 @@
 from __future__ import annotations
 
 import os
-import queue
 import select
 import signal
 import subprocess
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from cm import child
-from cm.networks.ros.transport import Qos, Transport
+from cm.networks.ros.transport import Transport
 
 PATIENCE = 60.0
 
@@ -66,30 +65,3 @@ def unanswered(transport: Transport, name: str, kind: str) -> Iterator[threading
         yield asked
     finally:
         let.set()
-
-
-class ListeningPeer:
-    """One of our nodes on the other side."""
-
-    transport: Transport
-
-    @contextmanager
-    def listening(self, topic: str, kind: str, quality: Qos) -> Iterator[queue.Queue[dict[str, Any]]]:
-        """Listen to a topic."""
-        found: queue.Queue[dict[str, Any]] = queue.Queue()
-        subscription = self.transport.subscription(topic, kind, quality, found.put)
-        try:
-            yield found
-        finally:
-            subscription.close()
-
-    def next(self, topic: str, kind: str, quality: Qos, fits: Callable[[Any], bool] = lambda _: True) -> dict[str, Any]:
-        """The first message on a topic that fits."""
-        with self.listening(topic, kind, quality) as found:
-            while True:
-                values = found.get(timeout=PATIENCE)
-                if fits(values):
-                    return values
-
-    def close(self) -> None:
-        self.transport.close()

@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
+import queue
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import zenoh
-from ros_peer import PATIENCE, BridgeProcess, ListeningPeer
+from ros_peer import PATIENCE, BridgeProcess
 
 from cm import child
 from cm.networks.fleet.zenoh_session import Network, session
@@ -16,7 +19,7 @@ from cm.networks.rmw_zenoh import cdr
 from cm.networks.rmw_zenoh.key_expressions import Attachment, End
 from cm.networks.rmw_zenoh.transport import ZenohTransport
 from cm.networks.ros.node import NodeName
-from cm.networks.ros.transport import SERVICES
+from cm.networks.ros.transport import SERVICES, Qos
 from cm.tools.demo.boards import free_ports
 
 DOMAIN = 7
@@ -46,14 +49,41 @@ class Bridge(BridgeProcess):
         super().__init__("ros", runtime, ("--write", "all", *arguments), environment)
 
 
-class Peer(ListeningPeer):
-    """One of our nodes on zenoh."""
-
-    transport: ZenohTransport
+class Peer:
+    """One of our nodes on the other side; it listens as rmw_zenoh's do."""
 
     def __init__(self, router: str) -> None:
         self.transport = ZenohTransport(NodeName("peer"), DOMAIN, router)
         self.session = self.transport._session
+
+    @contextmanager
+    def listening(self, topic: str, kind: str, quality: Qos) -> Iterator[queue.Queue[dict[str, Any]]]:
+        """Listen to a topic."""
+        found: queue.Queue[dict[str, Any]] = queue.Queue()
+        key = self.transport._end(End.SUBSCRIPTION, topic, kind, quality).key
+        take = zenoh.handlers.Callback(
+            lambda sample: found.put(cdr.decode(kind, bytes(sample.payload))), indirect=False
+        )
+        if quality.latched:
+            history = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=quality.depth)
+            subscriber: Any = zenoh.ext.declare_advanced_subscriber(self.session, key, take, history=history)
+        else:
+            subscriber = self.session.declare_subscriber(key, take)
+        try:
+            yield found
+        finally:
+            subscriber.undeclare()
+
+    def next(self, topic: str, kind: str, quality: Qos, fits: Callable[[Any], bool] = lambda _: True) -> dict[str, Any]:
+        """The first message on a topic that fits."""
+        with self.listening(topic, kind, quality) as found:
+            while True:
+                values = found.get(timeout=PATIENCE)
+                if fits(values):
+                    return values
+
+    def close(self) -> None:
+        self.transport.close()
 
     def ask(self, name: str, kind: str, payload: bytes, attachment: bytes | None) -> Any:
         """A service's first answer to bytes, as rmw_zenoh's clients ask: of all that are complete."""

@@ -120,21 +120,17 @@ class RecordingTransport:
         self.record.tick()
 
     def close(self) -> None:
-        """End the record."""
         self.record.close()
         self.describe()
 
     # ---- what a node asks for ----------------------------------------------------------------
 
     def publisher(self, topic: str, kind: str, quality: Qos) -> _Publisher:
-        """Record a topic."""
         return _Publisher(self, topic, kind, quality)
 
-    def subscription(self, *_: Any, **__: Any) -> Closing:
+    def frames(self, *_: Any, **__: Any) -> Closing:
         """Nobody publishes to a record."""
         return _Nothing()
-
-    frames = subscription
 
     def service(self, *_: Any, **__: Any) -> None:
         """Nobody asks a record."""
@@ -161,7 +157,6 @@ class _Publisher:
         self._transport, self._topic, self._kind, self._quality = transport, topic, kind, quality
 
     def write(self, values: Values) -> None:
-        """One message."""
         self._transport.write(self._topic, self._kind, self._quality, bytes(cdr.encode(self._kind, values)))
 
     def write_frame(self, head: Values, frame: FrameRecord) -> None:

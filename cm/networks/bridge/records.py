@@ -74,16 +74,6 @@ class FrameRecord:
     step: int
     data: npt.NDArray[Any]
 
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Of the array."""
-        return tuple(int(length) for length in self.data.shape)
-
-    @property
-    def dtype(self) -> str:
-        """Of the elements, a numpy name."""
-        return str(np.dtype(self.data.dtype).name)
-
 
 def config_record(status: Status, config: ConfigInfo, stamp_ns: int) -> ConfigRecord:
     """What runs, from the status and the description of the loaded configuration (empty: nothing is loaded)."""

@@ -44,7 +44,6 @@ class Copied:
         self._data, self.length = data, len(data)
 
     def into(self, target: npt.NDArray[np.uint8]) -> None:
-        """Copy them all."""
         target[:] = np.frombuffer(self._data, np.uint8)
 
 
@@ -77,13 +76,11 @@ class ZenohPublisher:
         self._token: Any = session.liveliness().declare_token(end.token)
 
     def write(self, values: Values) -> None:
-        """One message."""
         message = cdr.encode(self._end.kind, values)
         with self._lock:
             self._send(message)
 
     def write_frame(self, head: Values, frame: FrameRecord) -> None:
-        """A frame as the last field of a message."""
         start = cdr.head(self._end.kind, head, frame.data.nbytes)
         with self._lock:
             self._send(self._gathering.gathered(start, frame.data))
@@ -94,12 +91,10 @@ class ZenohPublisher:
             self._put(message, attachment=Attachment(self._number, time.time_ns(), self._gid).to_bytes())
 
     def listeners(self) -> int:
-        """1 if there are subscribers: zenoh does not say how many."""
         with self._lock:
             return int(self._token is not None and self._plain.matching_status.matching)
 
     def close(self) -> None:
-        """End it; twice is fine."""
         with self._lock:
             token, self._token = self._token, None
             if token is None:
@@ -139,31 +134,15 @@ class ZenohSubscription:
 
     def __init__(self, session: Any, end: EndKey, take: Callable[[bytes], None]) -> None:
         self._inbox = Inbox(end.topic, end.quality.depth, lambda sample: take(sample.payload.to_bytes()))
-        handler = zenoh.handlers.Callback(self._inbox.put, indirect=False)
-        declare = _late if end.quality.latched else _plain
-        self._subscriber = declare(session, end, handler)
+        self._subscriber = session.declare_subscriber(end.key, zenoh.handlers.Callback(self._inbox.put, indirect=False))
         self._token: Any = session.liveliness().declare_token(end.token)
 
     def close(self) -> None:
-        """End it; twice is fine."""
         token, self._token = self._token, None
         if token is not None:
             token.undeclare()
             self._subscriber.undeclare()
             self._inbox.close()
-
-
-def _plain(session: Any, end: EndKey, handler: Any) -> Any:
-    return session.declare_subscriber(end.key, handler)
-
-
-def _late(session: Any, end: EndKey, handler: Any) -> Any:
-    """Asks publishers for what they sent before."""
-    recovery = zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True) if end.quality.reliable else None
-    history = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=end.quality.depth)
-    return zenoh.ext.declare_advanced_subscriber(
-        session, end.key, handler, history=history, recovery=recovery, subscriber_detection=True
-    )
 
 
 _LOG = logging.getLogger("cm.rmw_zenoh")

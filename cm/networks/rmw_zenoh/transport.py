@@ -10,7 +10,6 @@ from weakref import WeakSet
 
 import zenoh
 
-from cm.networks.rmw_zenoh import cdr
 from cm.networks.rmw_zenoh.endpoints import Service, ZenohPublisher, ZenohSubscription, hand_on
 from cm.networks.rmw_zenoh.interfaces import type_hash
 from cm.networks.rmw_zenoh.key_expressions import End, EndKey, NodeKey
@@ -39,32 +38,22 @@ class ZenohTransport:
     # ---- topics ---------------------------------------------------------------------------
 
     def publisher(self, topic: str, kind: str, quality: Qos) -> ZenohPublisher:
-        """Publish a topic."""
         made = ZenohPublisher(self._session, self._end(End.PUBLISHER, topic, kind, quality))
         self._open.add(made)
         return made
-
-    def subscription(
-        self, topic: str, kind: str, quality: Qos, take: Callable[[dict[str, Any]], None]
-    ) -> ZenohSubscription:
-        """Listen to a topic."""
-        return self._listening(topic, kind, quality, lambda message: take(cdr.decode(kind, message)))
 
     def frames(
         self, topic: str, kind: str, quality: Qos, take: Callable[[dict[str, Any], Body], None]
     ) -> ZenohSubscription:
         """Listen to a topic of frames, each copied twice: by zenoh's Python API, and to where it is wanted."""
-        return self._listening(topic, kind, quality, lambda message: hand_on(kind, message, take))
-
-    def _listening(self, topic: str, kind: str, quality: Qos, take: Callable[[bytes], None]) -> ZenohSubscription:
-        made = ZenohSubscription(self._session, self._end(End.SUBSCRIPTION, topic, kind, quality), take)
+        end = self._end(End.SUBSCRIPTION, topic, kind, quality)
+        made = ZenohSubscription(self._session, end, lambda message: hand_on(kind, message, take))
         self._open.add(made)
         return made
 
     # ---- services -------------------------------------------------------------------------
 
     def service(self, name: str, kind: str, answer: Callable[[dict[str, Any]], Values]) -> None:
-        """Serve."""
         end = self._end(End.SERVICE, name, kind, SERVICES)
         service = Service(end, answer, self._workers)
         handler: Any = zenoh.handlers.Callback(lambda query: self._requests.put((service, query)), indirect=False)
@@ -77,7 +66,6 @@ class ZenohTransport:
         return EndKey(self._node, next(self._numbers), end, topic, kind, type_hash(kind), quality)
 
     def close(self) -> None:
-        """End all; twice is fine."""
         while self._tokens:
             self._tokens.pop().undeclare()
         while self._queryables:

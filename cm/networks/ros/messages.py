@@ -102,8 +102,8 @@ def data_head(frame: FrameRecord) -> Values:
         "header": header(frame.stamp_ns, frame.frame_id),
         "stream": frame.stream,
         "sequence": frame.sequence,
-        "shape": frame.shape,
-        "dtype": frame.dtype,
+        "shape": frame.data.shape,
+        "dtype": frame.data.dtype.name,
     }
 
 

@@ -92,7 +92,6 @@ class BoardNode:
     # ---- what the follower tells ----------------------------------------------------------
 
     def link(self, board: Board | None, problem: str) -> None:
-        """The manager is there, or not."""
         if problem not in (self._problem, ENDED):
             _LOG.warning("%s", problem or "the manager is back")
         with self._lock:
@@ -102,12 +101,10 @@ class BoardNode:
         self._next = 0.0  # so that it is published at once
 
     def status(self, status: Status, stamp_ns: int) -> None:
-        """Publish a status."""
         self._latest = status
         self._status.write(messages.status(status, stamp_ns))
 
     def config(self, record: ConfigRecord) -> None:
-        """Publish what runs, and offer its streams and parameters."""
         self._parameters.take(record)
         with self._lock:
             if self._board is not None:
@@ -115,12 +112,10 @@ class BoardNode:
         self._configuration.write(messages.configuration(record))
 
     def registers(self, values: RegValues, stamp_ns: int) -> None:
-        """Publish what was written."""
         self._registers.write(messages.bank(values, stamp_ns))
         self._parameters.event(values, self._parameter_events)
 
     def interrupt(self, irq: Irq, stamp_ns: int) -> None:
-        """Publish an interrupt."""
         self._interrupts.write(messages.interrupt(irq, stamp_ns))
 
     # ---- what goes by the clock -----------------------------------------------------------

@@ -55,17 +55,14 @@ class Parameters:
         }
 
     def list_names(self, request: dict[str, Any]) -> Values:
-        """ListParameters."""
         prefixes, depth = request["prefixes"], request["depth"]
         names = [name for name in self._known if _below(name, prefixes, depth)]
         return {"result": {"names": names, "prefixes": sorted({name.rpartition(".")[0] for name in names})}}
 
     def describe(self, request: dict[str, Any]) -> Values:
-        """DescribeParameters."""
         return {"descriptors": [self._described(name) for name in request["names"]]}
 
     def types(self, request: dict[str, Any]) -> Values:
-        """GetParameterTypes."""
         return {"types": bytes(_INTEGER if name in self._known else _NOT_SET for name in request["names"])}
 
     def get(self, request: dict[str, Any]) -> Values:

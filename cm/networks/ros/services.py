@@ -58,29 +58,24 @@ class Services:
         }
 
     def caller(self, request: Mapping[str, Any]) -> Caller:
-        """Who asks."""
         return Caller(self._guest, request.get("lease", ""))
 
     def set_mode(self, request: dict[str, Any]) -> Values:
-        """cm_interfaces/SetMode."""
         if not request["mode"]:
             return refusal("invalid_request", "name a mode; load_config goes to the default mode of a configuration")
         with self._waiting.one():
             return {"seconds": self._commands.change(self.caller(request), mode=request["mode"])}
 
     def load_config(self, request: dict[str, Any]) -> Values:
-        """cm_interfaces/LoadConfig."""
         config, mode, force = request["config_name"], request["mode"], request["force"]
         with self._waiting.one():
             return {"seconds": self._commands.change(self.caller(request), config, mode, force=force)}
 
     def read_registers(self, request: dict[str, Any]) -> Values:
-        """cm_interfaces/ReadRegisters."""
         values = self._commands.read_registers(self.caller(request), *request["names"])
         return {"bank": messages.bank(values, time.time_ns())}
 
     def write_registers(self, request: dict[str, Any]) -> Values:
-        """cm_interfaces/WriteRegisters."""
         writes = {write["name"]: write["value_name"] or write["value"] for write in request["writes"]}
         if len(writes) < len(request["writes"]):
             return refusal("invalid_request", "a register is named twice")
@@ -89,12 +84,10 @@ class Services:
         return {"bank": messages.bank(values, time.time_ns())}
 
     def plan(self, request: dict[str, Any]) -> Values:
-        """cm_interfaces/Plan."""
         return messages.plan(self._commands.plan(self.caller(request), request["config_name"], request["mode"]))
 
 
 def refusal(code: str, message: str) -> Values:
-    """A reply that refuses."""
     return {"success": False, "code": code, "message": message}
 
 

@@ -52,7 +52,6 @@ class ReadableStream:
             self._info.write(messages.camera_info(self._stream, frame))
 
     def close(self) -> None:
-        """End reading, and the topics."""
         self._reader.stop()
         self._publisher.close()
         if self._info is not None:
@@ -128,7 +127,6 @@ class WritableStream:
             self._writer = None
 
     def close(self) -> None:
-        """End listening."""
         self._subscription.close()
         self._drop()
 
@@ -161,12 +159,10 @@ class Streams:
         return ReadableStream(self._transport, base, stream, board, self._frames)
 
     def look(self) -> None:
-        """Start and stop streams as subscribers come and go; to be called a few times a second."""
         for _, stream in tuple(self._open.values()):
             stream.look()
 
     def close(self) -> None:
-        """Close all."""
         while self._open:
             self._open.popitem()[1][1].close()
 

@@ -72,9 +72,6 @@ class Transport(Protocol):
     def publisher(self, topic: str, kind: str, qos: Qos) -> Publisher:
         """Publish a topic."""
 
-    def subscription(self, topic: str, kind: str, qos: Qos, take: Callable[[dict[str, Any]], None]) -> Closing:
-        """Listen to a topic: `take` gets each message, in a thread of this subscription's own."""
-
     def frames(self, topic: str, kind: str, qos: Qos, take: Callable[[dict[str, Any], Body], None]) -> Closing:
         """Listen to a topic whose last field is a frame's bytes: `take` gets the other fields, and copies these."""
 

@@ -32,12 +32,6 @@ class RclpyTransport:
         self._publishers.add(made)
         return made
 
-    def subscription(
-        self, topic: str, kind: str, quality: Qos, take: Callable[[dict[str, Any]], None]
-    ) -> RclpySubscription:
-        """Listen to a topic."""
-        return RclpySubscription(self._node, interface(kind), topic, _profile(quality), lambda m: take(values(m)))
-
     def frames(
         self, topic: str, kind: str, quality: Qos, take: Callable[[dict[str, Any], Body], None]
     ) -> RclpySubscription:

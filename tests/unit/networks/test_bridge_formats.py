@@ -145,7 +145,7 @@ def test_a_frame_has_wall_time_and_rows() -> None:
     assert (record.stamp_ns, record.sequence, record.encoding, record.frame_id) == (1_500, 9, "bgr8", "front")
     assert (record.height, record.width, record.step) == (4, 6, 18)
     assert record.data is array.view(np.ndarray) or np.shares_memory(record.data, array)
-    assert record.dtype == "uint8"
+    assert record.data.dtype == "uint8"
 
 
 def test_a_frame_that_is_not_a_picture_has_no_rows() -> None:
