@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
 
-from cm.networks.fleet.store import Entry, Put, Store
+from cm.networks.fleet.store import Entry, Expect, Puts, Store
 
 State = tuple[tuple[str, str], ...]  # keys and values, sorted
 NEVER = float("inf")
@@ -142,19 +142,34 @@ class Recording:
         """Only a get of everything is a part of the history."""
         number = self._begin(kind="get") if not prefix else 0
         found = await self._inner.get(prefix)
+        self._saw(number, found)
+        return found
+
+    def _saw(self, number: int, found: Mapping[str, Entry]) -> None:
         if number:
             self._line(number=number, ended=time.monotonic(), seen={k: e.value for k, e in found.items() if kept(k)})
         self._values |= {(k, entry.revision): entry.value for k, entry in found.items()}
-        return found
 
-    async def txn(self, expect: Mapping[str, int], puts: Mapping[str, Put | None]) -> int:
+    def _expected(self, expect: Expect) -> dict[str, str | None]:
+        return {k: self._values.get((k, r)) if r else None for k, r in expect.items() if kept(k)}
+
+    async def txn(self, expect: Expect, puts: Puts) -> int:
         """A repetition is an operation of its own."""
-        values = {k: self._values.get((k, r)) if r else None for k, r in expect.items() if kept(k)}
         plain = {k: put.value if put else None for k, put in puts.items() if kept(k)}
-        number = self._begin(kind="txn", expect=values, puts=plain)
+        number = self._begin(kind="txn", expect=self._expected(expect), puts=plain)
         revision = await self._inner.txn(expect, puts)
         self._line(number=number, ended=time.monotonic(), done=bool(revision))
         return revision
+
+    async def claim(self, expect: Expect, puts: Puts, lease: str, seconds: int) -> dict[str, Entry]:
+        """A transaction, and what there was after it; with our claims, if it was done."""
+        plain = {k: put.value if put else None for k, put in puts.items() if kept(k)}
+        number, seen = self._begin(kind="txn", expect=self._expected(expect), puts=plain), self._begin(kind="get")
+        found = await self._inner.claim(expect, puts, lease, seconds)
+        done = all(found.get(k, Entry("", 0)).value == put.value for k, put in puts.items() if put)
+        self._line(number=number, ended=time.monotonic(), done=done)
+        self._saw(seen, found)
+        return found
 
 
 def read(files: Sequence[Path]) -> Iterator[Operation]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
+import itertools
 import json
 import random
 import weakref
@@ -18,7 +19,7 @@ from typing import Any
 
 from cm.errors import Busy, CmError
 from cm.networks.fleet.bridge.notes_file import packed, unpacked
-from cm.networks.fleet.coordinator import LEASE, Coordinator, Course, Opening
+from cm.networks.fleet.coordinator import LEASE, Coordinator, Course
 from cm.networks.fleet.keeper import Ledger
 from cm.networks.fleet.reconciling_board import Board, Notes, NotUndone, Part, Place, Planned, Seen, Unsettled
 from cm.networks.fleet.store import Entry, Put, StoreAway, StoreRefused, View, views
@@ -83,8 +84,11 @@ class SimStore:
 
     async def join(self, board: str, settings: str) -> None: ...
 
-    async def grant(self, seconds: int) -> str:
-        return str(await self._asked(lambda ledger: ledger.grant(seconds)))
+    async def claim(
+        self, expect: Mapping[str, int], puts: Mapping[str, Put | None], lease: str, seconds: int
+    ) -> dict[str, Entry]:
+        found: dict[str, Entry] = await self._asked(lambda ledger: ledger.claim(expect, puts, lease, seconds))
+        return found
 
     async def keep(self, lease: str) -> bool:
         return bool(await self._asked(lambda ledger: ledger.keep(lease)))
@@ -248,6 +252,8 @@ class World:
         weakref.finalize(self, self.ledger.close)
         self.history: dict[tuple[int, str], Place] = {}  # what was wanted, by generation and board
         self.told: list[Course] = []
+        self.numbers = itertools.count()  # of changes
+        self.known: dict[str, Mapping[str, Entry]] = {}  # what each client's last change left in the store
         self.boards = {f"b{n}": SimBoard(self, f"b{n}") for n in range(size)}
 
     # ---- what must hold at every moment -----------------------------------------------------
@@ -330,13 +336,16 @@ class World:
     ) -> Course | None:
         store = SimStore(self, whose="coordinator")
         coordinator = Coordinator(
-            store, lambda *asked: self.ask(*asked, caller), caller, f"{caller}-{goal[1]}",
-            sorted(members), *goal, policy, dict.fromkeys(away, SILENT), clock=lambda: self.now, sleep=self.sleep,
+            store, lambda *asked: self.ask(*asked, caller), caller, f"{caller}-{next(self.numbers)}",
+            lambda _: (sorted(members), dict.fromkeys(away, SILENT)), *goal, policy,
+            clock=lambda: self.now, sleep=self.sleep,
         )  # fmt: skip
+        coordinator.known, self.known[caller] = self.known.get(caller, {}), {}
         try:
-            course = await coordinator.run(await Opening.of(store, lambda: self.now))
+            course = await coordinator.run()
         except (Busy, StoreAway, StoreRefused):
             return None
+        self.known[caller] = coordinator.known
         self.told.append(course)
         return course
 

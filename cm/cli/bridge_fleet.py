@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
 def _options(args: argparse.Namespace) -> Options:
     from cm.networks.fleet import keys
     from cm.networks.fleet.bridge.bridge_process import Options, default_state
-    from cm.networks.fleet.zenoh_session import endpoint, member_of
+    from cm.networks.fleet.zenoh_session import endpoint, metadata_of
 
     listen = tuple(map(endpoint, args.listen))
     network = network_of(args, listen=listen, mode="peer" if listen else "client", lease=args.lease)
@@ -95,7 +95,7 @@ def _options(args: argparse.Namespace) -> Options:
         _name(args.name, network.config),
         tuple(args.label),
         _importer(args.import_to, args.settings) if args.import_to else None,
-        args.join or bool(member_of(network.config)),
+        args.join or bool(metadata_of(network.config, "name")),
         args.keeper,
     )
 
@@ -103,9 +103,9 @@ def _options(args: argparse.Namespace) -> Options:
 def _name(asked: str, config: Path | None) -> str:
     """The board's: that of its certificate, under which alone the router lets it through. Raises InvalidRequest."""
     from cm.networks.fleet import keys
-    from cm.networks.fleet.zenoh_session import member_of
+    from cm.networks.fleet.zenoh_session import metadata_of
 
-    certified = member_of(config)
+    certified = metadata_of(config, "name")
     if asked and certified and asked != certified:
         raise InvalidRequest(
             f"--name {asked}: the certificate in {config} is that of {certified!r}, and the router lets no other name "

@@ -33,10 +33,10 @@ def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
         )
         parser.add_argument(
             "--absent",
-            choices=("refuse", "wait", "go-on"),
+            choices=("refuse", "go-on"),
             default="",
-            help="what to do about boards that are away: change nothing (default under --policy all), wait --phase "
-            "seconds, or go on: they follow when they are back",
+            help="what to do about boards that are away: change nothing (default under --policy all), or go on: they "
+            "follow when they are back",
         )
         parser.add_argument(
             "--phase", type=seconds, default=60.0, metavar="SECONDS", help="time-out of each phase (60)"

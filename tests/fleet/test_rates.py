@@ -28,7 +28,7 @@ with cm.fleet.connect(sys.argv[1], caller="anna", timeout=30.0, store="keeper") 
         course = fleet.mode(line.strip())
         print(course.seconds - max(state.seconds for state in course.figures.values()), flush=True)
 """
-SECONDS = 130.0  # two questions of each bridge to itself, and something
+SECONDS = 130.0  # a question of each bridge to itself, and something
 Fleet = tuple[Networks, str, Mapping[str, FleetBoard]]
 
 
@@ -72,7 +72,7 @@ def test_six_boards_at_rest_send_no_more_than_six_frames_a_second(six: Fleet, in
     time.sleep(seconds)
     rate = (networks.frames() - frames) / seconds
     shares = {name: (used(board) - before[name]) / seconds for name, board in boards.items()}
-    print(f"{rate:.1f} frames a second; of a core {', '.join(f'{name} {s:.3%}' for name, s in shares.items())}")
+    print(f"{rate:.2f} frames a second; of a core {', '.join(f'{name} {s:.3%}' for name, s in shares.items())}")
     assert rate <= (6.0 if in_long else 6.5)  # half the time may hold more than half of the questions
 
 

@@ -58,7 +58,7 @@ from cm.networks.fleet.errors import ChangeFailed
 from cm.errors import CmError
 from fleet_history import Recording
 
-async def main(router, store, name, path, mode, policy, phase):
+async def main(router, store, name, path, mode, policy, phase, known):
     left = {phase}
 
     async def stop(where):
@@ -69,8 +69,12 @@ async def main(router, store, name, path, mode, policy, phase):
 
     class Stopping(Recording):
         async def txn(self, expect, puts):
-            await stop("decide" if any(key.endswith("/wanted") for key in puts) else "open")
+            await stop("decide")
             return await super().txn(expect, puts)
+
+        async def claim(self, *asked):
+            await stop("open")
+            return await super().claim(*asked)
 
     def told(course):
         decision = course.decision.value if course.decision else None
@@ -87,6 +91,8 @@ async def main(router, store, name, path, mode, policy, phase):
                     yield each
 
             fleet._steps = stopping
+            if known:
+                fleet._known = await fleet._store.get("")
             try:
                 told(await fleet.mode(mode, policy=policy, absent="go-on", timeout=20.0))
             except ChangeFailed as error:
@@ -286,7 +292,7 @@ class Rounds:
         path = self._file(f"round{number}")
         command = [
             *self.networks.inside("c"), sys.executable, "-c", COORDINATOR, self.router.endpoint, self.store,
-            f"anna{number}", str(path), mode, policy, phase,
+            f"anna{number}", str(path), mode, policy, phase, self.chance.choice(("", "known")),
         ]  # fmt: skip
         env, pipe = environment(PYTHONPATH=f"{REPOSITORY}:{REPOSITORY / 'tests'}"), subprocess.PIPE
         with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, env=env, cwd="/") as process:

@@ -104,7 +104,6 @@ def test_the_status_has_what_the_manager_says_and_what_the_bridge_knows(boards: 
     status = found["b1"]
     assert isinstance(status, BoardStatus)
     assert (status.status.board, status.status.mode, status.labels) == ("b1", "default", ("north",))
-    assert status.clock.now_ns > 10**18
 
 
 def test_a_bridge_that_hangs_is_distinguished_from_a_board_that_is_gone(boards: Boards, fleet: Fleet) -> None:
@@ -270,7 +269,7 @@ def test_the_commands_show_a_fleet_and_change_it(
     assert [found[name]["status"]["mode"] for name in found] == ["edge_detection", "edge_detection", "default"]
     assert found["b1"]["fleet"]["wanted_by"] == "bob"
     assert main(["fleet", "status", *router]) == 0
-    assert "stamps:" in capsys.readouterr().out
+    assert "there" in capsys.readouterr().out
     for write in "led=0x2", "led.blink=3":
         assert main(["fleet", "reg", "write", write, "b1", *router]) == 0
         assert len(capsys.readouterr().out.splitlines()) == 2  # of that board alone

@@ -9,15 +9,16 @@ from __future__ import annotations
 import asyncio
 import os
 import random
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import pytest
 from fleet_world import HOME, World, killed
 
 from cm.networks.fleet.reconciling_board import Place
-from cm.networks.fleet.store import Entry
-from cm.wire.messages.fleet import Decision, Policy
+from cm.networks.fleet.store import Claim, Entry, Put, Wanted, key, packed
+from cm.wire.messages.fleet import Decision, FleetStep, Policy
+from cm.wire.messages.status import ErrorInfo
 
 PARTS = 10
 SCHEDULES = int(os.environ.get("CM_SCHEDULES", "400")) // PARTS
@@ -50,7 +51,7 @@ def meanwhile(world: World, trouble: float) -> None:
 
 
 async def course(number: int) -> None:
-    """One to three coordinators, of which some die; then everything is there again for the lease and 5 s."""
+    """One to three clients, each with a change or two, of which some die; then all is there for the lease and 5 s."""
     chance = random.Random(f"course {number}")
     world = World(f"world {number}", chance.randint(1, 5))
     trouble = chance.choice((0.0, 0.02, 0.08))
@@ -61,9 +62,13 @@ async def course(number: int) -> None:
     for caller in ("anna", "bob", "carl")[: chance.randint(1, 3)]:
         members = chance.sample(sorted(world.boards), chance.randint(1, len(world.boards)))
         away = chance.sample(members, chance.choice((0, 0, 1))) if len(members) > 1 else []
-        goal: Place = ("camera", chance.choice(MODES))
-        changing = world.change(caller, goal, members, chance.choice(list(Policy)), away)
-        clients.append(asyncio.create_task(changing))
+
+        async def changing(caller: str, members: list[str], away: list[str]) -> None:
+            for _ in range(chance.randint(1, 2)):  # the second begins with what the first has left in the store
+                goal: Place = ("camera", chance.choice(MODES))
+                await world.change(caller, goal, members, chance.choice(list(Policy)), away)
+
+        clients.append(asyncio.create_task(changing(caller, members, away)))
         for _ in range(chance.choice((0, 20, 60, 200))):
             meanwhile(world, trouble)
             await world.go_on()
@@ -155,9 +160,9 @@ def test_whichever_answer_of_the_store_is_lost_or_a_refusal_what_is_told_is_what
         assert (
             ends
             == {
-                "asked again": [kept] * 4,
-                "lost": [nothing, nothing, *[kept] * (len(ends) - 2)],  # two: what it reads first, and its lease
-                "refused": [nothing, nothing, nothing, back, *[kept] * (len(ends) - 4)],
+                "asked again": [kept] * 3,
+                "lost": [nothing, *[kept] * (len(ends) - 1)],  # what it reads first
+                "refused": [nothing, nothing, back, *[kept] * (len(ends) - 3)],
             }[trouble]
         )
 
@@ -195,6 +200,141 @@ def test_boards_that_are_asked_before_the_store_wait_for_its_word_and_are_asked_
         assert [leg.phase for leg in client.result().legs] == ["open", "prepare", "apply", "decide", "reconcile"]
 
     asyncio.run(run())
+
+
+def test_a_clients_next_change_begins_with_its_claim_if_nobody_else_has_changed_anything() -> None:
+    world = World("again", 3)
+    world.lossy, world.troubled = False, ("coordinator",)
+    asked: list[int] = []
+
+    async def run(*clients: str) -> None:
+        for client, mode in zip(clients, MODES, strict=False):
+            before = world.asked
+            work = asyncio.create_task(world.change(client, ("camera", mode), sorted(world.boards), Policy.ALL))
+            await world.run(work)
+            assert work.result().decision is Decision.KEEP
+            assert work.result().differing == {}
+            asked.append(world.asked - before)
+
+    asyncio.run(run("anna", "anna", "bob", "anna"))
+    assert asked == [3, 2, 3, 3]  # read, claim, decide; bob's is seen by anna's claim, which is asked for once more
+    world.judge()
+
+
+class Alone:
+    """A board that is asked by hand."""
+
+    def __init__(self) -> None:
+        self.world = World("alone", 1)
+        self.world.lossy = False
+        self.b0 = self.world.boards["b0"]
+
+    async def asks(self, verb: str, change: str, generation: int, mode: str = "edge") -> str:
+        step = FleetStep(change, "camera", mode, generation)
+        work = asyncio.create_task(self.world._delivered("b0", verb, step, "anna"))
+        await self.world.run(work)
+        found = work.result()
+        return found.code if isinstance(found, ErrorInfo) else found.state
+
+    def claims(self, change: str, generation: int) -> None:
+        claim = packed(Claim(generation, change, "anna"))
+        self.world.ledger.claim({}, {key("b0", "claim"): Put(claim, "7")}, "7", 5)
+
+    def wants(self, change: str, generation: int) -> None:
+        wanted = packed(Wanted(generation, "camera", "loop", "anna", change, self.world.now))
+        puts = {key("b0", "wanted"): Put(wanted), key("b0", "claim"): None}
+        assert self.world.ledger.txn({}, puts)
+        self.world.wanted(puts)
+
+
+def test_a_board_that_was_prepared_without_a_claim_goes_nowhere_and_is_free_when_it_looks() -> None:
+    async def run(alone: Alone) -> None:
+        assert await alone.asks("prepare", "c1", 1) == "prepared"
+        assert await alone.asks("apply", "c1", 1) == "fleet_state"
+        assert (alone.b0.place, alone.b0.board.state.state) == (HOME, "prepared")
+        await alone.world.heal(1.0)
+        alone.world.judge()
+        assert (alone.b0.board.state.state, alone.b0.held_until) == ("free", 0.0)
+        assert await alone.asks("apply", "c1", 1) == "fleet_state"
+
+    asyncio.run(run(Alone()))
+
+
+def test_a_board_that_nobody_has_claimed_is_free_soon_while_the_store_is_away() -> None:
+    async def run(alone: Alone) -> None:
+        alone.world.now = 1.0
+        assert await alone.asks("prepare", "c1", 1) == "prepared"
+        alone.world.store_down = True
+        for seconds, held in ((1.0, True), (1.1, False)):
+            alone.world.now += seconds
+            await alone.world.run(asyncio.create_task(alone.b0.board.look()))
+            assert (alone.b0.held_until > 0) is held
+        assert alone.b0.read().part is None
+
+    asyncio.run(run(Alone()))
+
+
+def test_a_coordinator_whose_claim_is_refused_has_boards_look_and_they_are_free_though_the_store_is_away() -> None:
+    asked: list[str] = []
+
+    class Heard(World):
+        def ask(self, boards: Sequence[str], verb: str, *rest: Any) -> Any:
+            asked.append(verb)
+            return super().ask(boards, verb, *rest)
+
+    async def change(world: World) -> Any:
+        work = asyncio.create_task(world.change("anna", ("camera", "edge"), sorted(world.boards), Policy.ALL))
+        await world.run(work)
+        return work.result()
+
+    world = Heard("given up", 3)
+    world.lossy, world.trouble, world.trouble_at, world.troubled = False, "refused", 2, ("coordinator",)
+    assert asyncio.run(change(world)) is None
+    assert asked == ["prepare", "reconcile"]
+
+    async def run(alone: Alone) -> None:
+        assert await alone.asks("prepare", "c1", 1) == "prepared"
+        alone.world.store_down = True
+        assert await alone.asks("reconcile", "c2", 0) == "prepared"
+        assert await alone.asks("reconcile", "c1", 0) == "free"
+        assert alone.b0.held_until == 0.0
+
+    asyncio.run(run(Alone()))
+
+
+def test_of_two_changes_that_were_prepared_that_counts_which_has_the_claim() -> None:
+    async def run(alone: Alone) -> None:
+        assert await alone.asks("prepare", "c1", 1) == "prepared"
+        alone.claims("c2", 1)
+        assert await alone.asks("prepare", "c2", 1, "colorise") == "prepared"
+        assert await alone.asks("apply", "c1", 1) == "fleet_state"
+        assert await alone.asks("apply", "c2", 1) == "changed"
+        assert alone.b0.place == ("camera", "colorise")
+        alone.world.now += 6.0  # its coordinator is gone
+        await alone.world.heal()
+        alone.world.judge()
+        assert alone.b0.place == HOME
+
+    asyncio.run(run(Alone()))
+
+
+def test_a_board_that_prepared_before_it_heard_of_an_earlier_decision_does_not_apply() -> None:
+    async def run(alone: Alone) -> None:
+        alone.b0.board.told({})
+        await alone.world.heal(1.0)
+        alone.b0.gone = True
+        alone.wants("c1", 1)
+        await alone.world.run()
+        alone.b0.gone = False
+        assert await alone.asks("prepare", "c2", 2) == "prepared"
+        alone.claims("c2", 2)
+        assert await alone.asks("apply", "c2", 2) == "fleet_state"
+        alone.world.now += 6.0
+        await alone.world.heal()
+        alone.world.judge()
+        assert alone.b0.place == ("camera", "loop")
+
+    asyncio.run(run(Alone()))
 
 
 @pytest.mark.parametrize("first", ["the fleet", "an operator"])

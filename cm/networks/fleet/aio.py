@@ -22,7 +22,7 @@ from cm.client.frame import Frame, frame_of
 from cm.errors import InvalidRequest
 from cm.home import account
 from cm.networks.fleet import bundles, keys, queries
-from cm.networks.fleet.coordinator import Coordinator, Course, Opening, Progress, nothing
+from cm.networks.fleet.coordinator import Coordinator, Course, Progress, nothing
 from cm.networks.fleet.errors import ChangeFailed, FleetRefused, NoSuchBoard
 from cm.networks.fleet.keeper import opened_store
 from cm.networks.fleet.presence import Presence
@@ -39,7 +39,7 @@ from cm.networks.fleet.store import (
     packed,
     views,
 )
-from cm.networks.fleet.zenoh_session import Network, closed, from_environment, member_of, session
+from cm.networks.fleet.zenoh_session import Network, closed, from_environment, metadata_of, session
 from cm.wire import fleet as wire
 from cm.wire import topics
 from cm.wire.encode import decode_event, decode_plan, decode_registers, decode_reply, encode_request
@@ -47,8 +47,8 @@ from cm.wire.messages.fleet import BoardStatus, BundleState, Decision, FleetStat
 from cm.wire.messages.status import ErrorInfo, FrameInfo, PlanInfo, RegValues
 
 ALL = ("*",)  # boards
-ABSENT = ("refuse", "wait", "go-on")
-_LOOK = 0.05  # seconds between two looks at who is there
+ABSENT = ("refuse", "go-on")
+_LEAST = 0.05  # seconds for an answer
 
 
 def connect(
@@ -72,7 +72,7 @@ def connect(
     if not routers and config is None:
         routers = from_environment()
     network = Network(connect=routers, config=Path(config) if config else None, store=store)
-    return Fleet(network, caller or member_of(network.config) or account(f"uid-{os.getuid()}"), timeout)
+    return Fleet(network, caller or metadata_of(network.config, "name") or account(f"uid-{os.getuid()}"), timeout)
 
 
 class Fleet:
@@ -85,6 +85,7 @@ class Fleet:
         self.caller = keys.check(caller, "caller")  # requests are made under it: managers know it as zenoh:<name>
         self.timeout = timeout
         self._network = network
+        self._known: Mapping[str, Entry] = {}  # what our last change left in the store
         self.session: Any = None
 
     async def __aenter__(self) -> Fleet:
@@ -219,7 +220,7 @@ class Fleet:
                 if answer.board in left:
                     left.remove(answer.board)
                     yield answer
-        until = max(_LOOK, end - time.monotonic())
+        until = max(_LEAST, end - time.monotonic())
         asked = [asyncio.ensure_future(self._one(n, keys.key(n, rest), payload, timeout=until)) for n in sorted(left)]
         try:
             for each in asyncio.as_completed(asked):
@@ -336,8 +337,8 @@ class Fleet:
         """Take boards to a mode, or none: prepare all, change all, then one transaction of the store decides.
 
         `policy`: ``all``, ``quorum`` or ``best-effort``: how many boards must succeed for the change to be kept.
-        `absent`, for boards of the inventory that are away: ``refuse`` (default under ``all``), ``wait`` for them
-        `timeout` seconds, or ``go-on`` (default otherwise): then they are named, and go there when they are back.
+        `absent`, for boards of the inventory that are away: ``refuse`` (default under ``all``), or ``go-on`` (default
+        otherwise): then they are named, and go there when they are back.
         `timeout`: seconds for each phase. `tell` is called with the phase, a board, and its answer; in another thread,
         if this is the blocking client. Returns the course with the critical path. Raises NoSuchBoard, StoreAway, Busy
         (another change is open there), FleetRefused (nothing was touched), ChangeFailed (not every named board is
@@ -345,15 +346,16 @@ class Fleet:
         """
         rule = wire.policy(policy)
         absent = absent or ("refuse" if rule is Policy.ALL else "go-on")
-        if absent == "wait":
-            await self._all_there(await self.chosen(boards), timeout)
-        opening = await Opening.of(self._store)
-        chosen = self._matching(boards, _listed(opening.views))
-        away = self._away(chosen, absent)
+
+        def choose(known: Mapping[str, View]) -> tuple[tuple[str, ...], dict[str, ErrorInfo]]:
+            chosen = self._matching(boards, _listed(known))
+            return chosen, self._away(chosen, absent)
 
         change, ask = f"{self.caller}-{secrets.token_hex(4)}", partial(self._steps, timeout)
-        coordinator = Coordinator(self._store, ask, self.caller, change, chosen, config, mode, rule, away, tell)
-        course = await coordinator.run(opening)
+        coordinator = Coordinator(self._store, ask, self.caller, change, choose, config, mode, rule, tell)
+        coordinator.known, self._known = self._known, {}
+        course = await coordinator.run()
+        self._known = coordinator.known
         if course.decision is Decision.REVERT and not course.touched:
             raise FleetRefused(course.causes)
         if course.differing or course.decision is not Decision.KEEP:
@@ -372,11 +374,6 @@ class Fleet:
     ) -> Course:
         """Take boards to a mode of what they have loaded, or none; as `load`."""
         return await self.load("", mode, boards, policy=policy, absent=absent, timeout=timeout, tell=tell)
-
-    async def _all_there(self, wanted: Iterable[str], timeout: float) -> None:
-        end = time.monotonic() + timeout
-        while not {*wanted} <= self._presence.boards and time.monotonic() < end:
-            await asyncio.sleep(_LOOK)
 
     def _away(self, chosen: Iterable[str], absent: str) -> dict[str, ErrorInfo]:
         """Boards that are not there, under the policy about them. Raises FleetRefused, InvalidRequest."""

@@ -3,11 +3,12 @@
 
     open     a transaction claims the boards for this change, under a lease, if their generations are what was read
     prepare  each board checks everything, keeps others off, and writes down where it is
-    apply    each goes there
+    apply    each that the store has told of the claim goes there
     decide   one transaction: if the claims still stand, all boards are wanted there. Or the lease is revoked
     reconcile  boards look at what is wanted of them now: they stay, or let their managers undo the change
 
-Boards are asked to prepare, and to reconcile after a decision, at the same time as the store: they wait for its word.
+Boards are asked to prepare, and to reconcile after a decision, at the same time as the store: for the latter they wait
+for its word. What is prepared without a claim is only kept from others, and ends when the board looks.
 Until that transaction nothing is wanted that was not wanted before; from then on all of it is. If the coordinator
 dies, the store ends its lease, the claims vanish, and no transaction can decide for the change any more.
 """
@@ -16,11 +17,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import secrets
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from cm.errors import Busy
+from cm.errors import Busy, CmError
 from cm.networks.fleet.reconciling_board import NotNow
 from cm.networks.fleet.store import (
     BOARDS,
@@ -28,6 +30,7 @@ from cm.networks.fleet.store import (
     Claim,
     Entry,
     Put,
+    Puts,
     Store,
     StoreAway,
     StoreRefused,
@@ -49,6 +52,7 @@ LEASE = 5  # seconds that a coordinator may be silent: then others may close its
 _OPENING = LEASE + 3.0  # seconds for another's change to end: it may be one whose coordinator is dead
 _NONE = Entry("0", 0)
 _OPERATIONS = 128  # of one transaction, that etcd takes without --max-txn-ops
+_FRESH = 1.0  # seconds for which boards stay prepared for a change that the store did not tell them of, and some
 SETTLED = LEASE + 5.0  # seconds after which no board is undecided, from when the store answers and writes
 
 
@@ -111,113 +115,135 @@ class Course:
         return found
 
 
-@dataclass(frozen=True, slots=True)
-class Opening:
-    """What a change begins with: what was in the store, and a lease, under which nothing lies yet."""
-
-    begun: float
-    views: Mapping[str, View]
-    newest: Entry  # generation
-    lease: str
-
-    @classmethod
-    async def of(cls, store: Store, clock: Callable[[], float] = time.monotonic) -> Opening:
-        """Asked for together: a store syncs its disk for a lease. One that is not used runs out by itself."""
-        begun = clock()
-        found, lease = await asyncio.gather(store.get(""), store.grant(LEASE))
-        return cls(begun, views(found), found.get(GENERATION, _NONE), lease)
-
-
 @dataclass
 class Coordinator:
-    """One change, once. `members` are all its boards; those of `away` are not asked, and go there when they are back.
+    """One change, once. `choose`: its boards, by what is in the store, and those of them that are away.
 
-    `caller` wants it. It may be cancelled at any moment: then it stops where it is.
+    The latter are not asked, and go there when they are back. `caller` wants it. It may be cancelled at any moment:
+    then it stops where it is.
     """
 
     store: Store
     ask: Ask
     caller: str
     change: str
-    members: Sequence[str]
+    choose: Callable[[Mapping[str, View]], tuple[Sequence[str], Mapping[str, ErrorInfo]]]
     config: str = ""
     mode: str = ""
     policy: Policy = Policy.ALL
-    away: Mapping[str, ErrorInfo] = field(default_factory=dict)
     tell: Progress = nothing
     clock: Callable[[], float] = time.monotonic
     sleep: Callable[[float], Awaitable[None]] = asyncio.sleep
+    known: Mapping[str, Entry] = field(default_factory=dict)  # what was in the store last; empty: it is read
+    members: Sequence[str] = ()
+    _lease: str = ""
     _lost: bool = False  # the lease has ended
 
     def __post_init__(self) -> None:
-        self.course = Course(self.change, causes=dict(self.away), silent=dict(self.away))
+        self.course = Course(self.change)
         self._views: Mapping[str, View] = {}
         self._generation = self._opened = 0
         self._goals: dict[str, tuple[str, str]] = {}
-        self._there_now = [name for name in self.members if name not in self.away]
         self._early: asyncio.Task[_Asked] | None = None
-        self._ended = 0.0  # the last leg
+        self._asked = self._ended = 0.0  # when boards were asked to prepare; the last leg
 
-    async def run(self, opening: Opening) -> Course:
-        """Raises Busy, StoreAway, StoreRefused: then no board was asked to go anywhere."""
-        self._ended, keeping = opening.begun, asyncio.ensure_future(self._keep(opening.lease))
+    async def run(self) -> Course:
+        """Raises Busy, StoreAway, StoreRefused, and what `choose` does: then no board was asked to go anywhere."""
+        self._ended, keeping = self.clock(), asyncio.ensure_future(self._keep())
         try:
             try:
-                await self._open(opening)
+                await self._open()
                 there = await self._there()
-            except StoreAway:  # nor would it hear that the lease is to end
+            except CmError as error:
+                if not isinstance(error, StoreAway):  # it would not hear that the lease is to end
+                    await self._revoke()
+                await self._give_up()
                 raise
             except BaseException:  # cancelled before anything was decided: boards need not wait for the lease's end
-                await self._revoke(opening.lease)
+                await self._revoke()
                 raise
-            await self._decide(opening.lease, there)
+            await self._decide(there)
         finally:
             keeping.cancel()
             if self.course.decision is not Decision.KEEP:
                 self._drop()
+                self.known = {}
         if self.course.decision is Decision.KEEP and not self._claims_end:  # decided claims hold nobody up
-            await asyncio.gather(self._revoke(opening.lease), self._reconcile())
+            await asyncio.gather(self._revoke(), self._reconcile())
         else:
             await self._reconcile()
         return self.course
 
     # ---- opening ----------------------------------------------------------------------------
 
-    async def _open(self, opening: Opening) -> None:
-        """Claim the boards."""
-        end, newest, self._views = self.clock() + _OPENING, opening.newest, opening.views
+    async def _open(self) -> None:
+        """Claim the boards: at once, if what is known of the store is new enough."""
+        end, known = self.clock() + _OPENING, self.known
+        self.known = known or await self.store.get("")
         while True:
-            taken = {n: claim for n in self.members if (claim := self._view(n).open) is not None}
-            name, claim = next(iter(taken.items()), ("", None))
-            if claim is not None and claim.change == self.change:  # by a transaction whose answer was lost
-                self._generation = self.course.generation = claim.generation
-                self._opened = self._view(name).revision("claim")
-                break
-            late = self.clock() > end
-            if claim is not None and late:
-                raise Busy(f"change {claim.change} of {claim.by} is open on {name}: try again when it has ended")
             try:
-                if claim is None and await self._claimed(opening.lease, newest):
-                    break
-            except StoreAway:  # it may have been done, or may still be
-                if late:
+                self._chosen()
+            except CmError:
+                if self.known is not known:
                     raise
+                self.known = await self.store.get("")
+                continue
+            mine = {n for n, view in self._views.items() if view.open and view.open.change == self.change}
+            if mine == {*self.members}:
+                break
+            others = [(n, claim) for n in self.members if (claim := self._view(n).open) and n not in mine]
+            late = self.clock() > end
+            if others and late:
+                name, claim = others[0]
+                raise Busy(f"change {claim.change} of {claim.by} is open on {name}: try again when it has ended")
+            if mine:  # and others have come into the inventory, or left it
+                await self._revoke()
+                self._lease = ""
+            elif not others:
+                try:
+                    self.known = await self._claimed()
+                    continue
+                except StoreAway:  # it may have been done, or may still be
+                    if late:
+                        raise
             self._drop()
             await self.sleep(0.1)
-            found = await self.store.get("")
-            newest, self._views = found.get(GENERATION, _NONE), views(found)
+            self.known = await self.store.get("")
+        first = self._view(self.members[0])
+        self._generation = self.course.generation = first.open.generation if first.open else 0
+        self._opened = first.revision("claim")
+        if self.clock() - self._asked > _FRESH:
+            self._drop()
         self._leg_ended("open")
 
-    async def _claimed(self, lease: str, newest: Entry) -> bool:
-        self._generation = self.course.generation = int(newest.value) + 1
-        claim = Put(packed(Claim(self._generation, self.change, self.caller)), lease)
+    def _chosen(self) -> None:
+        self._views = views(self.known)
+        self.members, away = self.choose(self._views)
+        self.course.causes, self.course.silent = dict(away), dict(away)
+        self._there_now = [name for name in self.members if name not in away]
+
+    async def _claimed(self) -> dict[str, Entry]:
+        """What there is then: with our claims, if that was done."""
+        self._drop()
+        newest = self.known.get(GENERATION, _NONE)
+        self._generation, self._lease = int(newest.value) + 1, self._lease or str(secrets.randbits(62) + 1)
+        claim = Put(packed(Claim(self._generation, self.change, self.caller)), self._lease)
         puts: dict[str, Put | None] = {key(name, "claim"): claim for name in self.members}
         puts[GENERATION] = Put(str(self._generation))
         expect = {key(name, "wanted"): self._view(name).revision("wanted") for name in self.members}
         expect[GENERATION] = newest.revision  # every opening changes it
         self._begin("prepare", FleetStep(self.change, self.config, self.mode, self._generation))
-        self._opened = await self.store.txn(expect, puts)
-        return bool(self._opened)
+        self._asked = self.clock()
+        return await self.store.claim(expect, puts, self._lease, LEASE)
+
+    async def _give_up(self) -> None:
+        """Boards that are prepared, and not claimed, need not find that out by themselves."""
+        if self._asked:
+            asking = asyncio.ensure_future(self._answers("reconcile", self._there_now, FleetStep(self.change)))
+            waiting = asyncio.ensure_future(self.sleep(_FRESH))
+            await asyncio.wait((asking, waiting), return_when=asyncio.FIRST_COMPLETED)
+            asking.cancel()
+            waiting.cancel()
 
     @property
     def _claims_end(self) -> bool:
@@ -227,11 +253,14 @@ class Coordinator:
     def _view(self, name: str) -> View:
         return self._views.get(name, View())
 
-    async def _keep(self, lease: str) -> None:
+    async def _keep(self) -> None:
         while not self._lost:
             await self.sleep(LEASE / 3)
+            if not self._lease:
+                continue
             with contextlib.suppress(StoreAway, StoreRefused):
-                self._lost = not await self.store.keep(lease)
+                opened = bool(self._opened)
+                self._lost = not await self.store.keep(self._lease) and opened
 
     # ---- the boards ---------------------------------------------------------------------------
 
@@ -256,8 +285,8 @@ class Coordinator:
 
     def _enough(self, there: Sequence[str]) -> bool:
         """Under the policy `all`, boards that are known to be away do not count."""
-        among = len(self.members) - (len(self.away) if self.policy is Policy.ALL else 0)
-        return not self._lost and enough(self.policy, among, len(there))
+        among = self._there_now if self.policy is Policy.ALL else self.members
+        return not self._lost and enough(self.policy, len(among), len(there))
 
     def _begin(self, phase: str, step: FleetStep) -> None:
         """Ask all that are there, while the store is asked for what they wait for."""
@@ -306,7 +335,7 @@ class Coordinator:
 
     # ---- the decision -------------------------------------------------------------------------
 
-    async def _decide(self, lease: str, there: Sequence[str]) -> None:
+    async def _decide(self, there: Sequence[str]) -> None:
         if there and self._enough(there):
             self._begin("reconcile", FleetStep(self.change))
             self.course.decision = await self._kept()
@@ -315,13 +344,15 @@ class Coordinator:
             if self._lost:
                 self.course.causes.setdefault("the store", ErrorInfo("lease", "the coordinator's lease has ended"))
         if self.course.decision is Decision.REVERT:
-            self.course.leased = not await self._revoke(lease)
+            self.course.leased = not await self._revoke()
         self._leg_ended("decide")
 
-    async def _revoke(self, lease: str) -> bool:
+    async def _revoke(self) -> bool:
         """False: it runs out by itself, as soon as the store can write that."""
+        if not self._lease:
+            return True
         try:
-            await self.store.revoke(lease)
+            await self.store.revoke(self._lease)
         except (StoreAway, StoreRefused) as error:
             self.course.causes.setdefault("the store", ErrorInfo(error.code, str(error)))
             return False
@@ -345,8 +376,10 @@ class Coordinator:
         end, lost = self.clock() + SETTLED, False
         while True:
             try:
-                if await self.store.txn(expect, puts):
+                if revision := await self.store.txn(expect, puts):
+                    self._is_known(puts, revision)
                     return Decision.KEEP
+                self.known = {}
                 return await self._told()
             except (StoreAway, StoreRefused) as error:
                 self.course.causes["the store"] = ErrorInfo(error.code, str(error))
@@ -356,6 +389,11 @@ class Coordinator:
                 if self.clock() > end:
                     return None
                 await self.sleep(0.2)
+
+    def _is_known(self, puts: Puts, revision: int) -> None:
+        """With that the next change of this client may begin, without a reading."""
+        now = {**self.known, **{k: Entry(put.value, revision) for k, put in puts.items() if put}}
+        self.known = {k: entry for k, entry in now.items() if not k.endswith("/claim")}
 
     async def _told(self) -> Decision | None:
         """Why the transaction was refused: it had been done already, or the lease had ended."""

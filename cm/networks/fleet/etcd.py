@@ -21,7 +21,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from cm.errors import InvalidRequest
-from cm.networks.fleet.store import BOARDS, Entry, Put, StoreAway, StoreRefused, key
+from cm.networks.fleet.store import BOARDS, Entry, Expect, Put, Puts, StoreAway, StoreRefused, key
 
 _LOG = logging.getLogger("cm.fleet")
 PREFIX = "cm/"  # of all our keys: others may use the same cluster
@@ -152,21 +152,33 @@ class Etcd:
         found = await self._ask("kv/range", _range(prefix), 0.0 if prefix.endswith("/") and prefix != BOARDS else _MANY)
         return _entries(found.get("kvs", ()))
 
-    async def txn(self, expect: Mapping[str, int], puts: Mapping[str, Put | None]) -> int:
+    async def txn(self, expect: Expect, puts: Puts) -> int:
+        found = await self._txn(expect, puts, ())
+        return int(found["header"]["revision"]) if found.get("succeeded") else 0
+
+    async def claim(self, expect: Expect, puts: Puts, lease: str, seconds: int) -> dict[str, Entry]:
+        """The lease comes first: a transaction that names one that is not there would be the end of some members."""
+        try:
+            await self._ask("lease/grant", {"ID": lease, "TTL": str(seconds)})
+        except StoreRefused as error:
+            if "already exists" not in str(error):  # by a request whose answer was lost
+                raise
+        found = await self._txn(expect, puts, ({"request_range": _range("")},))
+        return _entries(found["responses"][-1]["response_range"].get("kvs", ()))
+
+    async def _txn(self, expect: Expect, puts: Puts, reads: tuple[Mapping[str, Any], ...]) -> dict[str, Any]:
         """A repetition after a lost answer fails if the compares name a key that it puts."""
         compare = [
             {"key": _key(k), "target": "MOD", "result": "EQUAL", "mod_revision": str(revision)}
             for k, revision in expect.items()
         ]
-        found = await self._ask("kv/txn", {"compare": compare, "success": [_put(k, put) for k, put in puts.items()]})
-        return int(found["header"]["revision"]) if found.get("succeeded") else 0
+        success = [*(_put(k, put) for k, put in puts.items()), *reads]
+        slow = _MANY if reads else 0.0
+        return await self._ask("kv/txn", {"compare": compare, "success": success, "failure": reads}, slow)
 
     async def join(self, board: str, settings: str) -> None:
         """The role of a board's user lets it write that key only."""
         await self.txn({}, {key(board, "settings"): Put(settings)})
-
-    async def grant(self, seconds: int) -> str:
-        return str((await self._ask("lease/grant", {"TTL": str(seconds)}))["ID"])
 
     async def keep(self, lease: str) -> bool:
         return int((await self._ask("lease/keepalive", {"ID": lease})).get("result", {}).get("TTL", 0)) > 0

@@ -13,7 +13,6 @@ import json
 import logging
 import os
 import queue
-import secrets
 import sqlite3
 import time
 from collections.abc import AsyncIterator, Callable, Mapping
@@ -25,7 +24,7 @@ from cm.errors import Busy, CmError, InvalidRequest
 from cm.networks.fleet import queries
 from cm.networks.fleet.etcd import Cluster, Etcd
 from cm.networks.fleet.keys import STORE
-from cm.networks.fleet.store import BOARDS, Entry, Put, Store, StoreAway, StoreRefused, key
+from cm.networks.fleet.store import BOARDS, Entry, Expect, Put, Puts, Store, StoreAway, StoreRefused, key
 from cm.networks.fleet.zenoh_session import Network, in_loop, is_alive, metadata_of, zenoh_module
 
 KEEPER = "keeper"  # what names it as the store
@@ -34,7 +33,7 @@ _TIMEOUT = 3.0  # seconds for an answer
 _TICK = 0.25  # seconds between two looks at leases
 _PAGES = 64  # of 4 KiB, to which the log of what is not in the file yet grows: SQLite's 1000 fill a small disk for good
 _CHANGED, _ALIVE = f"{STORE}/changed", f"{STORE}/alive"
-OPERATIONS = ("get", "join", "txn", "grant", "keep", "revoke")  # the first two are a board's, the first a reader's
+OPERATIONS = ("get", "join", "txn", "claim", "keep", "revoke")  # the first two are a board's, the first a reader's
 _UNREADABLE = (ValueError, KeyError, TypeError, AttributeError, ArithmeticError, RecursionError, sqlite3.Error)
 _TABLES = """
 CREATE TABLE IF NOT EXISTS entries (key TEXT PRIMARY KEY, value TEXT, revision INTEGER, lease TEXT) WITHOUT ROWID;
@@ -77,21 +76,27 @@ class Ledger:
         )
         return {k: Entry(value, revision) for k, value, revision in found}
 
-    def txn(self, expect: Mapping[str, int], puts: Mapping[str, Put | None]) -> int:
+    def txn(self, expect: Expect, puts: Puts, lease: str = "", seconds: float = 0.0) -> int:
+        """`lease`: is granted for `seconds` with it."""
+        end = self._now() + seconds
         with self._file:
             self._file.execute("BEGIN IMMEDIATE")
             for name, revision in expect.items():
                 row = self._file.execute("SELECT revision FROM entries WHERE key = ?", (name,)).fetchone()
                 if (row[0] if row else 0) != revision:
                     return 0
-            unknown = {put.lease for put in puts.values() if put and put.lease} - set(self._ends)
+            unknown = {put.lease for put in puts.values() if put and put.lease} - {*self._ends, lease}
             if unknown:
                 raise StoreRefused(f"lease {unknown.pop()} has ended")
+            if lease:
+                self._file.execute("INSERT OR REPLACE INTO leases VALUES (?, ?)", (lease, seconds))
             revision, changes = self._put(puts)
+        if lease:
+            self._ends[lease] = (end, seconds)
         self._changed(changes)
         return revision
 
-    def _put(self, puts: Mapping[str, Put | None]) -> tuple[int, dict[str, Entry]]:
+    def _put(self, puts: Puts) -> tuple[int, dict[str, Entry]]:
         self._file.execute("UPDATE counter SET revision = revision + 1")
         revision = int(self._file.execute("SELECT revision FROM counter").fetchone()[0])
         for name, put in puts.items():
@@ -102,11 +107,9 @@ class Ledger:
                 self._file.execute("INSERT OR REPLACE INTO entries VALUES (?, ?, ?, ?)", row)
         return revision, {name: Entry(put.value if put else "", revision) for name, put in puts.items()}
 
-    def grant(self, seconds: float) -> str:
-        lease, end = secrets.token_hex(8), self._now() + seconds
-        self._file.execute("INSERT INTO leases VALUES (?, ?)", (lease, seconds))
-        self._ends[lease] = (end, seconds)
-        return lease
+    def claim(self, expect: Expect, puts: Puts, lease: str, seconds: float) -> dict[str, Entry]:
+        self.txn(expect, puts, lease, seconds)
+        return self.get("")
 
     def keep(self, lease: str) -> bool:
         self.expire()
@@ -198,13 +201,13 @@ class Keeper:
             raise InvalidRequest(f"the keeper has {', '.join(OPERATIONS)}, and no {operation}")
         if operation == "join":
             operation, asked = "txn", {"expect": {}, "puts": {key(caller, "settings"): [asked["settings"], ""]}}
-        if operation == "txn":
+        if "puts" in asked:
             asked["puts"] = {k: None if put is None else Put(*map(str, put)) for k, put in asked["puts"].items()}
             _check_names(asked["puts"], caller)
         return getattr(self._ledger, operation)(**asked)
 
 
-def _check_names(puts: Mapping[str, Put | None], caller: str) -> None:
+def _check_names(puts: Puts, caller: str) -> None:
     """What is wanted is wanted in one's own name: boards obey by it. Raises StoreRefused."""
     for name, put in puts.items():
         if put is not None and name.startswith(BOARDS) and name.endswith(("/wanted", "/claim")):
@@ -221,16 +224,16 @@ class KeeperStore:
         self._ahead = 0.0  # the keeper's clock, of our monotonic one
 
     async def get(self, prefix: str) -> dict[str, Entry]:
-        return {k: Entry(*entry) for k, entry in (await self._ask("get", prefix=prefix)).items()}
+        return _entries(await self._ask("get", prefix=prefix))
 
-    async def txn(self, expect: Mapping[str, int], puts: Mapping[str, Put | None]) -> int:
+    async def txn(self, expect: Expect, puts: Puts) -> int:
         return int(await self._ask("txn", expect=dict(expect), puts=dict(puts)))
 
     async def join(self, board: str, settings: str) -> None:  # noqa: ARG002 (the caller's name is the board's)
         await self._ask("join", settings=settings)
 
-    async def grant(self, seconds: int) -> str:
-        return str(await self._ask("grant", seconds=seconds))
+    async def claim(self, expect: Expect, puts: Puts, lease: str, seconds: int) -> dict[str, Entry]:
+        return _entries(await self._ask("claim", expect=dict(expect), puts=dict(puts), lease=lease, seconds=seconds))
 
     async def keep(self, lease: str) -> bool:
         return bool(await self._ask("keep", lease=lease))
@@ -250,8 +253,7 @@ class KeeperStore:
         tell = in_loop(changes.put_nowait)
 
         def came(sample: Any) -> None:
-            entry = json.loads(bytes(sample.payload) or b"null")  # earlier keepers said only that there is something
-            tell({str(sample.key_expr)[len(_CHANGED) + 1 :]: Entry(*entry)} if entry else {})
+            tell({str(sample.key_expr)[len(_CHANGED) + 1 :]: Entry(*json.loads(bytes(sample.payload)))})
 
         tell({})
         subscriber = self._session.declare_subscriber(f"{_CHANGED}/{prefix.rstrip('/')}/**", came)
@@ -275,6 +277,10 @@ class KeeperStore:
             raise StoreRefused(str(answer["error"]))
         self._ahead = float(answer["now"]) - time.monotonic()
         return answer["ok"]
+
+
+def _entries(found: Mapping[str, Any]) -> dict[str, Entry]:
+    return {k: Entry(*entry) for k, entry in found.items()}
 
 
 def opened_store(network: Network, opened: Any, caller: str) -> Store:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keys of a fleet, ``cm/<board>/{alive,status,config,reg/*,irq/*,frames/*,do/<verb>[/<caller>]}``, and their commands."""
+"""Keys of a fleet, ``cm/<board>/{alive,status,config,reg/*,irq/*,frames/*,do/<verb>[/<caller>]}``, and commands."""
 
 from __future__ import annotations
 

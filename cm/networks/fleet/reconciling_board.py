@@ -23,7 +23,9 @@ Place = tuple[str, str]  # configuration and mode
 NOTHING: Place = ("", "")
 _FIRST, _LONGEST = 2.0, 300.0  # seconds until what failed is tried again: doubled each time
 _PATIENCE = 1.0  # seconds for the store's word about what a coordinator asks for; after that it is read
-_ALONE = 2.0  # seconds without a coordinator's word after which an open change is looked at
+_ALONE = (
+    2.0  # seconds without a coordinator's word after which an open change is looked at, and one without a claim ends
+)
 
 
 class NotNow(CmError):
@@ -58,6 +60,7 @@ class Part:
     plan_bytes: int = 0
     seconds: float = 0.0
     error: ErrorInfo | None = None
+    wanted: int = -1  # the generation that was wanted here when it was prepared
     lease: str = ""  # the manager's, which keeps others off: by it the next process can renew it, or give it back
 
 
@@ -174,11 +177,11 @@ class Board:
         """prepare: check everything for a change, keep others off the board, and write down where it is.
 
         apply: go to the new mode; the answer says whether the board is there. reconcile: as `look`. Raises NotNow if
-        the store has no such change open here, or it was not prepared, Busy, Unsettled, and the manager's refusals.
+        the store has another change open here, or not that which is to be applied, or it was not prepared, StoreAway,
+        Busy, Unsettled, and the manager's refusals.
         """
         self._asked = self._now()
-        if verb != "apply":
-            await self._hear(verb, step)
+        await self._hear(verb, step)
         async with self._one:
             self.wake.clear()
             if verb == "apply":
@@ -200,9 +203,11 @@ class Board:
             patience.cancel()
 
     def _is_early(self, verb: str, step: FleetStep) -> bool:
-        claim = self._view.open
-        if verb == "prepare":
-            return claim is None and self._notes.part is None
+        claim, part = self._view.open, self._notes.part
+        if verb == "prepare":  # the store may be about to tell of the other change
+            return claim is None and part is not None and part.change != step.id and part.phase == "prepared"
+        if verb == "apply":
+            return not self._claimed_for(step)
         return claim is not None and claim.change == step.id
 
     async def _prepare(self, step: FleetStep, caller: str) -> None:
@@ -211,14 +216,11 @@ class Board:
             if known.change != step.id:
                 raise Busy(f"change {known.change} of {known.caller} is {known.phase} here, and not ended yet")
             return
-        if not self._claimed_for(step):
-            raise NotNow(
-                f"the store has no change {step.id} open here: it came too late, or "
-                "this bridge's --store is another than that of who changes"
-            )
+        if not self._may_be_open(step):
+            raise NotNow(f"another change is open here, or wanted already: {step.id} came too late")
         if self.place == NOTHING:
             raise NotNow("nothing is loaded on this board, so there would be no way back: load something first")
-        part = Part(step.id, step.generation, caller, self.place, NOTHING)
+        part = Part(step.id, step.generation, caller, self.place, NOTHING, wanted=self._view.generation)
         plan, lease = await asyncio.gather(  # together: a manager that was woken for one answers both
             self._manager.plan(step, caller), self._manager.hold(part), return_exceptions=True
         )
@@ -248,7 +250,17 @@ class Board:
             raise NotNow(f"change {step.id} was not prepared here, or is undone already")
         if part.phase != "prepared":
             return
-        self._write(part=replace(part, phase="changing"))
+        if not self._claimed_for(step):
+            await self._read()
+        if not self._claimed_for(step):
+            raise NotNow(
+                f"the store has no change {step.id} open here: it came too late, or "
+                "this bridge's --store is another than that of who changes"
+            )
+        if part.wanted != self._view.generation:
+            raise NotNow("something newer was wanted here when it prepared, of which it had not heard: try again")
+        part = replace(part, generation=step.generation, phase="changing")
+        self._write(part=part)
         try:
             seconds = await self._manager.load(part.goal, part.caller, part.lease, part.change)
         except Unsettled:
@@ -282,16 +294,29 @@ class Board:
         If the store cannot be read, nothing is done: what is open stays open, and the manager's lock on the board runs
         out, so that its local users are free.
         """
+        part = self._notes.part
+        if part and part.phase == "prepared" and not self._view.open and self._is_given_up(part, step):
+            await self._manager.release(part)  # whether the store answers or not
+            self._write(part=None)
         if step is None or not self._told_of(step):
             try:
-                self._know(await self._store.get(f"{BOARDS}{self._name}/"))
+                await self._read()
             except (StoreAway, StoreRefused) as error:
                 self._store_error = str(error)
                 return
-            self._store_error = ""
         if again:
             self._again = 0.0
         await self._reconcile(again, asked=step is not None)
+
+    def _is_given_up(self, part: Part, step: FleetStep | None) -> bool:
+        """Of a change that nobody has claimed, as far as is known: its coordinator says so, or nothing any more."""
+        if step is None:
+            return bool(self._asked) and self._now() - self._asked >= _ALONE
+        return step.id == part.change and not step.generation
+
+    async def _read(self) -> None:
+        self._know(await self._store.get(f"{BOARDS}{self._name}/"))
+        self._store_error = ""
 
     def told(self, changes: Mapping[str, Entry]) -> None:
         """Take what the store's watch says has changed."""
@@ -315,11 +340,15 @@ class Board:
         claim = self._view.open
         return claim is not None and (claim.change, claim.generation) == (step.id, step.generation)
 
+    def _may_be_open(self, step: FleetStep) -> bool:
+        """A change that is to be prepared: the store may not have told of it yet."""
+        return self._claimed_for(step) or (self._view.open is None and step.generation > self._view.generation)
+
     def _told_of(self, step: FleetStep) -> bool:
-        """Whether it is known that this change is open here, or that it was decided: what was told may be old."""
+        """Whether what is known will do: this change may be open here, or was decided. What was told may be old."""
         part, wanted = self._notes.part, self._view.wanted
         if part is None:
-            return not self.unsettled and self._claimed_for(step)
+            return not self.unsettled and self._may_be_open(step)
         return not self._store_error and wanted is not None and wanted.change == part.change == step.id
 
     @property

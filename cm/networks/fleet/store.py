@@ -48,20 +48,24 @@ class Put(NamedTuple):
     lease: str = ""
 
 
+Expect = Mapping[str, int]  # the revision that each key is to have; 0: it is absent
+Puts = Mapping[str, Put | None]  # None: delete it
+
+
 class Store(Protocol):
     """All calls raise StoreAway and StoreRefused; what `get` returns is the newest there is, not a copy's."""
 
     async def get(self, prefix: str) -> dict[str, Entry]:
         """All keys that begin so."""
 
-    async def txn(self, expect: Mapping[str, int], puts: Mapping[str, Put | None]) -> int:
-        """If each key has that revision (0: is absent), put all (None: delete). Its revision; 0: nothing was done."""
+    async def txn(self, expect: Expect, puts: Puts) -> int:
+        """If all is as expected, put all. Its revision; 0: nothing was done."""
 
     async def join(self, board: str, settings: str) -> None:
         """Put a board's own settings: all that a board may write."""
 
-    async def grant(self, seconds: int) -> str:
-        """A lease, by the store's clock."""
+    async def claim(self, expect: Expect, puts: Puts, lease: str, seconds: int) -> dict[str, Entry]:
+        """As `txn`, with a lease, a number that nobody else has, by the store's clock. All that there is then."""
 
     async def keep(self, lease: str) -> bool:
         """Renew it; False if it has ended."""

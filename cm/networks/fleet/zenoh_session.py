@@ -138,11 +138,6 @@ def settings_of(path: Path) -> Any:
         raise NoNetwork(f"{path} is no file of zenoh's settings (JSON5): {said(error)}") from None
 
 
-def member_of(config: Path | None) -> str:
-    """The name in a file that ``cm fleet keys`` wrote; empty in another, and without a file. Raises NoNetwork."""
-    return metadata_of(config, "name")
-
-
 def metadata_of(config: Path | None, what: str) -> str:
     """One of the words that ``cm fleet keys`` wrote into a file of settings; empty where it has none."""
     said = (json.loads(settings_of(config).get_json("metadata")) or {}).get(what) if config else ""

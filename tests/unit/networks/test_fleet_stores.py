@@ -69,8 +69,8 @@ def test_a_transaction_is_done_whole_or_not_at_all(ledger: Callable[..., Ledger]
 def test_what_lies_under_a_lease_goes_with_it_by_the_keepers_own_clock(ledger: Callable[..., Ledger]) -> None:
     clock = Clock()
     store = ledger(clock=clock)
-    lease = store.grant(5)
-    store.txn({}, {"claim": Put("x", lease), "other": Put("y")})
+    lease = "7"
+    assert set(store.claim({}, {"claim": Put("x", lease), "other": Put("y")}, lease, 5)) == {"claim", "other"}
     clock.now = 4.0
     assert store.keep(lease)
     clock.now = 8.9
@@ -88,8 +88,8 @@ def test_a_lease_begins_anew_with_its_keeper_whatever_the_clock_says(
     ledger: Callable[..., Ledger], tmp_path: Path
 ) -> None:
     before = ledger(tmp_path / "s.sqlite")
-    lease = before.grant(5)
-    before.txn({}, {"claim": Put("x", lease)})
+    lease = "7"
+    before.claim({}, {"claim": Put("x", lease)}, lease, 5)
     before.close()
     clock = Clock()
     clock.now = -86400.0  # a day back
@@ -172,12 +172,12 @@ def test_a_lease_that_ends_while_the_keepers_disk_is_full_ends_when_there_is_roo
     session = Queried()
     keeper = Keeper(session, tmp_path / "store.sqlite")
     try:
-        lease = session.ask("grant", seconds=0.3)["ok"]
         claim = packed(Claim(1, "c", "anna"))
-        assert session.ask("txn", expect={}, puts={"boards/b1/claim": [claim, lease]})["ok"]
+        asked = {"expect": {"a": 0}, "puts": {"boards/b1/claim": [claim, "7"]}, "lease": "7", "seconds": 0.3}
+        assert set(session.ask("claim", **asked)["ok"]) == {"boards/b1/claim"}
         with full_disk():
             until(lambda: "it is tried again" in caplog.text, 30.0)
-            assert session.ask("grant", seconds=5)["code"] == "store_refused"
+            assert session.ask("claim", **asked)["code"] == "store_refused"
             assert set(session.ask("get", prefix="")["ok"]) == {"boards/b1/claim"}
         until(lambda: session.ask("get", prefix="")["ok"] == {}, 30.0)
     finally:

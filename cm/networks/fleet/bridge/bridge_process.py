@@ -37,7 +37,7 @@ _T = TypeVar("_T")
 _LOG = logging.getLogger("cm.fleet")
 _RECONNECT = 1.0  # seconds between two tries to reach a manager, or the network
 _TOGETHER = 0.25  # seconds in which whoever changes the fleet asks anyway: then nothing is left to be looked at
-_HEAR, _LISTEN, _ANSWER = 60.0, 10.0, 5.0  # seconds between two questions to ourselves; after a change; for an answer
+_HEAR, _LISTEN, _ANSWER = 120.0, 10.0, 5.0  # seconds between two questions to ourselves; after a change; for an answer
 
 
 class Deaf(CmError):

@@ -32,7 +32,6 @@ class ManagedBoard:
         self._held = 0.0  # when the lease was taken or renewed last, monotonic
 
     def guest(self, caller: str) -> str:
-        """The name of a caller at the manager."""
         return f"zenoh:{caller}"
 
     async def where(self, known: Seen | None = None) -> Seen:

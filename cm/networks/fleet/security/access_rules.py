@@ -48,9 +48,7 @@ def verbs_of(role: str) -> tuple[str, ...]:
 
 def access_control(members: Iterable[Member]) -> dict[str, Any]:
     """The part `access_control` of the router's settings: what is not allowed here is dropped."""
-    made = {
-        m.name: _RULES[m.kind](m) for m in members if m.kind in _RULES
-    }  # not the router, nor an earlier version's cache
+    made = {m.name: _RULES[m.kind](m) for m in members}
     return {
         "enabled": bool(made),
         "default_permission": "deny",

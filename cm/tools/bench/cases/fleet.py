@@ -7,7 +7,7 @@ import asyncio
 import os
 import statistics
 import time
-from collections.abc import AsyncIterator, Iterator, Sequence
+from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -194,8 +194,9 @@ async def _in_turns(local: LocalFleet, bench: Run, client: float) -> dict[str, f
     time: `client`, in seconds.
     """
     from cm.networks.fleet import aio, queries
-    from cm.networks.fleet.coordinator import Coordinator, Opening
+    from cm.networks.fleet.coordinator import Coordinator
     from cm.networks.fleet.keeper import opened_store
+    from cm.networks.fleet.store import Entry
     from cm.networks.fleet.zenoh_session import Network
     from cm.wire.fleet import encode_step
     from cm.wire.messages.fleet import FleetState, FleetStep
@@ -204,6 +205,7 @@ async def _in_turns(local: LocalFleet, bench: Run, client: float) -> dict[str, f
     where = local.store or "keeper"
     async with aio.connect(local.router, caller="bench", timeout=60.0, store=where) as fleet:
         store = opened_store(Network(store=where), fleet.session, "bench")
+        known: Mapping[str, Entry] = {}
         for number in range(2 if bench.quick else 8):
             took: dict[str, list[float]] = {}
 
@@ -219,8 +221,10 @@ async def _in_turns(local: LocalFleet, bench: Run, client: float) -> dict[str, f
                     yield board, said
 
             mode = ("edge_detection", "default")[number % 2]
-            change = Coordinator(store, ask, "bench", f"turns-{number}", sorted(local.boards), "", mode)
-            course = await change.run(await Opening.of(store))
+            change = Coordinator(
+                store, ask, "bench", f"turns-{number}", lambda _: (sorted(local.boards), {}), "", mode, known=known
+            )
+            course, known = await change.run(), change.known
             legs = {leg.phase: leg.seconds for leg in course.legs} | {
                 verb: statistics.median(each) for verb, each in took.items()
             }
