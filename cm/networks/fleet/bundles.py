@@ -17,7 +17,7 @@ from cm.wire.messages.fleet import FetchBundle
 
 _BLOCK = 1 << 20  # bytes that are read at once
 _LEAST, _MOST = 5 << 9, 1 << 18  # bytes of a piece
-_WORDS = 400  # bytes of the fleet's that may come behind a piece, of a change before which no further one is asked for
+_WORDS = 250  # bytes of the fleet's that may come behind a piece, of a change before which no further one is asked for
 _WORTH = 0.2  # seconds that a piece takes; one is under way at a time
 _TIMEOUT = 20.0  # seconds for a piece
 PATIENCE = 10.0  # seconds until all routers know a sender

@@ -358,8 +358,8 @@ class Board:
 
     @property
     def in_a_change(self) -> bool:
-        """Whether one is open here, as far as is known."""
-        return self._notes.part is not None or self._view.open is not None
+        """Whether one is open here, as far as is known, or is about to be."""
+        return self._one.locked() or self._notes.part is not None or self._view.open is not None
 
     def seen(self, place: Place) -> None:
         """Take what its manager says; if nothing that is done here explains it, somebody has taken it elsewhere."""
