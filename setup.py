@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What pyproject.toml cannot say: the C shims (cffi) and the generated protobuf module."""
+"""What pyproject.toml cannot say: the C shims (cffi) and the generated modules."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ PROTO = "cm/wire/cm.proto"
 GENERATED = "cm/wire/cm_pb2.py"
 SCHEMA = "cm/schema/data/runtime.schema.json"
 VALIDATOR = "cm/schema/_validator.py"
+INTERFACES = "cm/networks/rmw_zenoh/_cm_interfaces.py"
 NO_PROTOC = (
     "cannot generate cm/wire/cm_pb2.py: no protobuf compiler found. Set PROTOC, or install one: "
     "'pip install grpcio-tools', or 'apt install protobuf-compiler'"
@@ -62,11 +63,24 @@ def generate(target: Path) -> None:
         text = RUNTIME_CHECK.sub("", (Path(folder) / GENERATED).read_text(encoding="utf-8"))
     if "_runtime_version" in text:
         raise SetupError(f"{GENERATED}: this protobuf compiler writes a version check that setup.py does not know")
+    written(target, text)
+
+
+def written(target: Path, text: str) -> None:
+    """Write a file, renamed into place: a Python that imports meanwhile sees the old one or the new one."""
     target.parent.mkdir(parents=True, exist_ok=True)
-    # Renamed into place: a Python that imports meanwhile sees the old file or the new one.
     scratch = target.with_name(target.name + ".new")
     scratch.write_text(text, encoding="utf-8")
     scratch.replace(target)
+
+
+def generate_interfaces(target: Path) -> None:
+    """Write ros2/cm_interfaces as a module, without comments and constants."""
+    found = {}
+    for path in sorted((ROOT / "ros2/cm_interfaces").glob("*/*.*")):
+        lines = [" ".join(line.partition("#")[0].split()) for line in path.read_text(encoding="utf-8").splitlines()]
+        found[f"cm_interfaces/{path.parent.name}/{path.stem}"] = "\n".join(x for x in lines if x and "=" not in x)
+    written(target, f"# SPDX-License-Identifier: Apache-2.0\nOWN = {found!r}\n")
 
 
 def generate_validator(target: Path) -> None:
@@ -81,35 +95,40 @@ def generate_validator(target: Path) -> None:
         return
     finally:
         sys.path.remove(str(ROOT))
-    target.parent.mkdir(parents=True, exist_ok=True)
-    scratch = target.with_name(target.name + ".new")
-    scratch.write_text(text, encoding="utf-8")
-    scratch.replace(target)
+    written(target, text)
+
+
+def generate_all(base: Path) -> None:
+    """Everything that is generated, below a folder."""
+    generate(base / GENERATED)
+    generate_interfaces(base / INTERFACES)
+    generate_validator(base / VALIDATOR)
 
 
 class BuildPy(build_py):
-    """Generates the protobuf module into what is built, or into the tree when that is what runs."""
+    """Generates modules into what is built, or into the tree when that is what runs."""
 
     def _base(self) -> Path:
         return ROOT if self.editable_mode else Path(self.build_lib)
 
-    def _target(self) -> Path:
-        return self._base() / GENERATED
-
     def run(self) -> None:
         super().run()
         if not self.dry_run if hasattr(self, "dry_run") else True:
-            generate(self._target())
-            generate_validator(self._base() / VALIDATOR)
+            generate_all(self._base())
 
     def get_outputs(self, include_bytecode: bool = True) -> list[str]:
         outputs = super().get_outputs(include_bytecode)
-        made = [str(self._target()), *(str(p) for p in [self._base() / VALIDATOR] if p.exists())]
+        base = self._base()
+        made = [
+            str(base / name)
+            for name in (GENERATED, INTERFACES, VALIDATOR)
+            if name != VALIDATOR or (base / name).exists()
+        ]
         return [*outputs, *(target for target in made if target not in outputs)]
 
 
 class BuildExt(build_ext):
-    """Compiles side by side; generates the protobuf module beside its source with ``build_ext --inplace``."""
+    """Compiles side by side; generates modules beside their sources with ``build_ext --inplace``."""
 
     def build_extensions(self) -> None:
         compile_one = self.compiler.compile
@@ -124,8 +143,7 @@ class BuildExt(build_ext):
     def run(self) -> None:
         super().run()
         if self.inplace:
-            generate(ROOT / GENERATED)
-            generate_validator(ROOT / VALIDATOR)
+            generate_all(ROOT)
 
 
 # Free-threaded Python has no stable ABI yet; cffi builds a version-specific module there.

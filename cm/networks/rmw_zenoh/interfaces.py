@@ -17,7 +17,7 @@ from types import MappingProxyType
 from typing import Any
 
 from cm.errors import NotFound
-from cm.networks.rmw_zenoh.cm_interfaces import OWN
+from cm.networks.rmw_zenoh._cm_interfaces import OWN  # of ros2/cm_interfaces, by setup.py
 
 STANDARD = MappingProxyType(
     {
