@@ -59,107 +59,23 @@ def sockets() -> Iterator[socket.socket]:
 
 
 class Connections:
-    """Those over ZeroMQ: of the sockets in a runtime folder, and of TCP ports. The loop's thread."""
+    """Those of the sockets in a runtime folder, and of TCP ports. The loop's thread."""
 
-    def __init__(self, folder: Path, tcp: list[Endpoints]) -> None:
+    def __init__(self, gate: Gate, folder: Path, tcp: list[Endpoints]) -> None:
         """`tcp` grows as ports are bound."""
-        self._paths = {name: str(folder.absolute() / name) for name in _TOPICS}
+        self.gate = gate
+        self._paths = {name: str(folder.absolute() / name) for name in (*_TOPICS, SOCKET)}
         self._tcp = tcp
+        self._manager: Manager
         self._stuck: dict[tuple[int, str], tuple[int, float]] = {}  # by inode and peer: bytes, and since when
         self._looked = 0.0
         self._counted, self._next_count = Counter[str](), 0.0
 
-    def counted(self) -> Counter[str]:
-        """How many lead to each place (`cm.server.client_quotas.Client.place`), counted at most a tenth of the time."""
-        began = time.monotonic()
-        if began < self._next_count:
-            return self._counted
-        found = self._counted = Counter[str]()
-        for connection in sockets():
-            with connection, suppress(OSError):  # a listening one, or one that has just ended
-                found[self._place(connection)] += 1
-        del found[""]
-        self._next_count = time.monotonic() + 10 * (time.monotonic() - began)
-        return found
-
-    def _place(self, connection: socket.socket, names: tuple[str, ...] = _TOPICS) -> str:
-        """Where one of ours leads; empty for others. Raises OSError."""
-        peer, here = connection.getpeername(), connection.getsockname()
-        if connection.family == socket.AF_UNIX:
-            return place_of(credentials(connection)[0], "") if here in {self._paths[name] for name in names} else ""
-        ports = {int(getattr(bound, name).rpartition(":")[2]) for bound in self._tcp for name in names}
-        return place_of(None, str(peer[0])) if here[1] in ports else ""
-
-    @staticmethod
-    def end(fd: int, whose: str) -> None:
-        """End a connection by its descriptor, if it is still that of the client with this id (ZMQ's User-Id)."""
-        with suppress(OSError), socket.socket(fileno=os.dup(fd)) as connection:
-            if connection.family == socket.AF_UNIX:
-                pid, uid, gid = credentials(connection)
-                same = of_process(IPC, uid, gid, pid).id == whose
-            else:
-                same = place_of(None, str(connection.getpeername()[0])) == from_id(whose).address
-            if same:
-                connection.shutdown(socket.SHUT_RDWR)
-                _LOG.warning("a connection of %s was ended: it subscribes to too much", whose)
-
-    def settle(self) -> None:
-        """Once a second: end those of the client with the most if they take up a quarter of all descriptors.
-
-        libzmq would take more until there are none, and then end this process (``Too many open files``).
-        """
-        most = resource.getrlimit(resource.RLIMIT_NOFILE)[0] // 4
-        if len(os.listdir("/proc/self/fd")) <= most or self.counted().total() <= most:  # noqa: PTH208
-            return  # what else takes descriptors has bounds of its own
-        for place, count in self.counted().most_common(1):
-            _LOG.warning("%d connections of %s were ended: they take up the descriptors (RLIMIT_NOFILE)", count, place)
-            for connection in sockets():
-                with connection, suppress(OSError):
-                    if self._place(connection) == place:
-                        connection.shutdown(socket.SHUT_RDWR)
-
-    def end_stuck(self) -> None:
-        """End the connection of the subscriber that has taken nothing for longest; asked again and again."""
-        now = time.monotonic()
-        if now < self._looked + _LOOK:
-            return
-        self._looked, before, self._stuck = now, self._stuck, {}
-        for connection in sockets():
-            with connection, suppress(OSError):
-                if place := self._place(connection, ("pub",)):
-                    left = int.from_bytes(fcntl.ioctl(connection, _OUTQ, bytes(4)), "little")
-                    key = os.fstat(connection.fileno()).st_ino, place
-                    then, since = before.get(key, (left, now))
-                    if left:
-                        self._stuck[key] = left, since if then == left else now
-        if self._stuck:
-            longest = min(self._stuck, key=lambda key: self._stuck[key][1])
-            if now - self._stuck[longest][1] >= _STUCK:
-                self._end(longest)
-
-    def _end(self, which: tuple[int, str]) -> None:
-        del self._stuck[which]
-        for connection in sockets():
-            with connection, suppress(OSError):
-                if os.fstat(connection.fileno()).st_ino == which[0]:
-                    connection.shutdown(socket.SHUT_RDWR)
-                    _LOG.warning(
-                        "a subscriber of %s was ended: it left frames unread for longest (streams.queue_mib)", which[1]
-                    )
-
-
-_OURS = ("pub", "sub", "req", SOCKET)
-
-
-class Sessions:
-    """The connections of the sockets in a runtime folder and of TCP ports. The loop's thread."""
-
-    def __init__(self, gate: Gate, folder: Path, tcp: list[Endpoints], manager: Manager) -> None:
-        """`tcp` grows as ports are bound."""
-        self.gate = gate
-        self._paths = {str(folder.absolute() / name) for name in _OURS}
-        self._tcp = tcp
+    def begin(self, manager: Manager) -> None:
+        """Ask this manager what requests are about, from before the first one."""
         self._manager = manager
+
+    # ---- what they may ----------------------------------------------------------------------
 
     def scene(self) -> Scene:
         """What is needed to understand requests, if the client may not do everything."""
@@ -188,31 +104,117 @@ class Sessions:
             raise
 
     def renew(self, access: Access) -> None:
-        """Apply another policy from now on; end sessions whose rights differ under it."""
-        self._end(self.gate.renew(access))
+        """Apply another policy from now on; end connections whose rights differ under it."""
+        self._end_of(self.gate.renew(access))
 
     def end_expired(self) -> None:
-        """End the sessions of keys that have expired; called now and then."""
+        """End the connections of keys that have expired; called now and then."""
         self.gate.audit.flush()
         keys = self.gate.expired()
         if keys:
-            self._end(lambda who: who.key in keys)
+            self._end_of(lambda who: who.key in keys)
 
-    def _end(self, meant: Callable[[Principal], bool]) -> None:
-        ended = 0
-        for connection in sockets():
-            with connection, suppress(OSError):  # a listening one, or one that has just ended
-                if any(meant(who) for who in self._behind(connection)):
-                    connection.shutdown(socket.SHUT_RDWR)
-                    ended += 1
+    def _end_of(self, meant: Callable[[Principal], bool]) -> None:
+        ended = _end_those(lambda connection: any(meant(who) for who in self._behind(connection)))
         if ended:
             _LOG.warning("rights have changed: %d connections ended", ended)
 
+    # ---- where they lead --------------------------------------------------------------------
+
     def _behind(self, connection: socket.socket) -> Iterable[Principal]:
         """The clients that may be at the other end: over TCP, all that connected from that address. Raises OSError."""
-        peer, here = connection.getpeername(), connection.getsockname()
+        peer = connection.getpeername()
+        if not self._is_of(connection, (*_TOPICS, SOCKET)):
+            return ()
         if connection.family == socket.AF_UNIX:
-            pid, uid, gid = credentials(connection) if here in self._paths else (0, -1, 0)
-            return () if uid < 0 else (of_process(IPC, uid, gid, pid),)
-        ports = {int(end.rpartition(":")[2]) for bound in self._tcp for end in (bound.pub, bound.sub, bound.req)}
-        return self.gate.from_address(str(peer[0])) if here[1] in ports else ()
+            pid, uid, gid = credentials(connection)
+            return (of_process(IPC, uid, gid, pid),)
+        return self.gate.from_address(str(peer[0]))
+
+    def _place(self, connection: socket.socket, names: tuple[str, ...] = _TOPICS) -> str:
+        """Where one over ZeroMQ leads (`cm.server.client_quotas.Client.place`); empty for others. Raises OSError."""
+        peer = connection.getpeername()
+        if not self._is_of(connection, names):
+            return ""
+        is_local = connection.family == socket.AF_UNIX
+        return place_of(credentials(connection)[0], "") if is_local else place_of(None, str(peer[0]))
+
+    def _is_of(self, connection: socket.socket, names: Iterable[str]) -> bool:
+        """Whether it is one of these sockets'. Raises OSError."""
+        here = connection.getsockname()
+        if connection.family == socket.AF_UNIX:
+            return here in [self._paths[name] for name in names]
+        ends = (getattr(bound, name) for bound in self._tcp for name in names if name in _TOPICS)
+        return here[1] in {int(end.rpartition(":")[2]) for end in ends}
+
+    def counted(self) -> Counter[str]:
+        """How many over ZeroMQ lead to each place, counted at most a tenth of the time."""
+        began = time.monotonic()
+        if began < self._next_count:
+            return self._counted
+        found = self._counted = Counter[str]()
+        for connection in sockets():
+            with connection, suppress(OSError):  # a listening one, or one that has just ended
+                found[self._place(connection)] += 1
+        del found[""]
+        self._next_count = time.monotonic() + 10 * (time.monotonic() - began)
+        return found
+
+    # ---- the end of those that take too much ------------------------------------------------
+
+    @staticmethod
+    def end(fd: int, whose: str) -> None:
+        """End a connection by its descriptor, if it is still that of the client with this id (ZMQ's User-Id)."""
+        with suppress(OSError), socket.socket(fileno=os.dup(fd)) as connection:
+            if connection.family == socket.AF_UNIX:
+                pid, uid, gid = credentials(connection)
+                same = of_process(IPC, uid, gid, pid).id == whose
+            else:
+                same = place_of(None, str(connection.getpeername()[0])) == from_id(whose).address
+            if same:
+                connection.shutdown(socket.SHUT_RDWR)
+                _LOG.warning("a connection of %s was ended: it subscribes to too much", whose)
+
+    def settle(self) -> None:
+        """Once a second: end those of the client with the most if they take up a quarter of all descriptors.
+
+        libzmq would take more until there are none, and then end this process (``Too many open files``).
+        """
+        most = resource.getrlimit(resource.RLIMIT_NOFILE)[0] // 4
+        if len(os.listdir("/proc/self/fd")) <= most or self.counted().total() <= most:  # noqa: PTH208
+            return  # what else takes descriptors has bounds of its own
+        for place, count in self.counted().most_common(1):
+            _LOG.warning("%d connections of %s were ended: they take up the descriptors (RLIMIT_NOFILE)", count, place)
+            _end_those(lambda connection, place=place: self._place(connection) == place)  # type: ignore[misc]
+
+    def end_stuck(self) -> None:
+        """End the connection of the subscriber that has taken nothing for longest; asked again and again."""
+        now = time.monotonic()
+        if now < self._looked + _LOOK:
+            return
+        self._looked, before, self._stuck = now, self._stuck, {}
+        for connection in sockets():
+            with connection, suppress(OSError):
+                if place := self._place(connection, ("pub",)):
+                    left = int.from_bytes(fcntl.ioctl(connection, _OUTQ, bytes(4)), "little")
+                    key = os.fstat(connection.fileno()).st_ino, place
+                    then, since = before.get(key, (left, now))
+                    if left:
+                        self._stuck[key] = left, since if then == left else now
+        longest = min(self._stuck, key=lambda key: self._stuck[key][1], default=None)
+        if longest is not None and now - self._stuck[longest][1] >= _STUCK:
+            del self._stuck[longest]
+            if _end_those(lambda connection: os.fstat(connection.fileno()).st_ino == longest[0]):
+                said = "a subscriber of %s was ended: it left frames unread for longest (streams.queue_mib)"
+                _LOG.warning(said, longest[1])
+
+
+def _end_those(which: Callable[[socket.socket], bool]) -> int:
+    """Shut down the sockets of this process for which this is true, and return how many there were."""
+    ended = 0
+    for connection in sockets():
+        with connection, suppress(OSError):  # a listening one, or one that has just ended
+            if which(connection):
+                connection.shutdown(socket.SHUT_RDWR)
+                ended += 1
+    return ended

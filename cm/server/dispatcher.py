@@ -47,7 +47,7 @@ class Dispatcher:
     ) -> None:
         self._loop = loop
         self._sockets = sockets
-        self._gate, self._clients, self._turns = services.sessions.gate, services.clients, services.turns
+        self._gate, self._clients, self._turns = services.connections.gate, services.clients, services.turns
         self._carry_out = partial(carry_out, services)
         self._order = Order(services.manager, self._carry_out)
         self._publisher = publisher

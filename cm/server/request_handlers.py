@@ -25,7 +25,7 @@ from cm.schema.model import Config, Stream
 from cm.server.audit_events import AuditEvents
 from cm.server.board_watch import BoardWatch
 from cm.server.client_quotas import Client, Clients, with_holdings
-from cm.server.connections import Connections, Sessions
+from cm.server.connections import Connections
 from cm.server.error_replies import refusal
 from cm.server.interrupts import InterruptWatch
 from cm.server.lease_watch import LeaseWatch
@@ -73,7 +73,6 @@ class Services:
     status: Callable[[], Status]
     complete: Callable[[Config], Config]  # adds what only the board knows
     renew_config: Callable[[str], None]  # applies a new schema that waits for the end of its configuration
-    sessions: Sessions
     turns: RoundRobin
     clients: Clients
     connections: Connections
@@ -106,7 +105,7 @@ def carry_out(s: Services, asked: Asked) -> None:
     if s.audits.publisher.wants_audit and asked.row.right.least.role >= _OPERATE:
         asked.audit = s.audits.begin(asked)
     try:
-        asked.request = s.sessions.gate.admit(asked.connection, asked.request, asked.row.right, s.sessions.scene)
+        asked.request = s.connections.gate.admit(asked.connection, asked.request, asked.row.right, s.connections.scene)
         if asked.row.uploads:
             s.uploads.fill_in(asked)
     except CmError as error:
@@ -305,13 +304,13 @@ def listed(s: Services) -> ConfigInfo:
 
 def sender_of(s: Services, connection: str) -> Sender:
     """Who sends a configuration over a connection."""
-    who = s.sessions.gate.principal(connection)
-    return Sender(who.account, str(who), s.sessions.gate.everywhere(connection) >= Role.ADMIN)
+    who = s.connections.gate.principal(connection)
+    return Sender(who.account, str(who), s.connections.gate.everywhere(connection) >= Role.ADMIN)
 
 
 def name_check(s: Services, connection: str) -> Callable[[str], None]:
     """The check of a configuration's name, made in another thread once it is known: Forbidden, ChangeBusy."""
-    who, rights = s.sessions.gate.principal(connection), s.sessions.gate.rights(connection)
+    who, rights = s.connections.gate.principal(connection), s.connections.gate.rights(connection)
 
     def ask(name: str) -> None:
         check(who, rights, provisioning(name))

@@ -20,7 +20,7 @@ from cm.server.audit_events import AuditEvents
 from cm.server.bitstream_and_overlay_files import BoardFiles, Footprints
 from cm.server.board_watch import BoardWatch
 from cm.server.client_quotas import Clients
-from cm.server.connections import Connections, Sessions, raise_descriptors
+from cm.server.connections import Connections, raise_descriptors
 from cm.server.devices import BoardDevices
 from cm.server.dispatcher import Dispatcher
 from cm.server.interrupts import InterruptWatch
@@ -79,7 +79,7 @@ class Server:
         waiting = mark((configs := self._configs()).values(), options.queue_bytes)
         self._sockets = Sockets(self._context, options.runtime_dir, waiting, options.limits, options.group)
         self._authenticator = Authenticator(self._context, gate.enter)
-        self._connections = Connections(options.runtime_dir, self._sockets.tcp)
+        self._connections = Connections(gate, options.runtime_dir, self._sockets.tcp)
         self._publisher = Publisher(
             self._loop,
             self._sockets.pub,
@@ -100,12 +100,12 @@ class Server:
         )
         self._status = StatusPublisher(self._loop, self._publisher, self._streams)
         self._manager = Manager(configs, self._environment(), leases)
-        self._sessions = Sessions(gate, options.runtime_dir, self._sockets.tcp, self._manager)
-        self._streams.begin(self._sessions)
+        self._connections.begin(self._manager)
+        self._streams.begin(self._connections)
         self._windows: OpenWindows | None = None
         self._reads: LocalReads | None = None
         self._data_socket = DataSocket(
-            self._loop, options.runtime_dir, self._purposes(), self._sessions, self._turns, options.group
+            self._loop, options.runtime_dir, self._purposes(), self._connections, self._turns, options.group
         )
         self._interrupts = InterruptWatch(
             self._loop, options.root, self._manager, self._publisher.interrupt, self._note_error
@@ -148,7 +148,7 @@ class Server:
 
     def _renew(self, found: Reloaded) -> None:
         """Apply other settings to what they bound; what exceeds a limit already stays."""
-        self._sessions.renew(found.access)
+        self._connections.renew(found.access)
         for part in (self._clients, self._uploads, self._streams, self._provisioner):
             part.renew(found.limits)
         self._manager.leases.renew(found.limits.leases, found.limits.leases_each)
@@ -165,13 +165,12 @@ class Server:
             clients=self._clients,
             uploads=self._uploads,
             board=self._board,
-            sessions=self._sessions,
             status=self._status.status,
             connections=self._connections,
             complete=self._with_channels,
             renew_config=self._reloader.renew,
             files=self._files,
-            audits=AuditEvents(self._publisher, self._sessions.gate),
+            audits=AuditEvents(self._publisher, self._connections.gate),
         )
 
     # ---- life ---------------------------------------------------------------------
@@ -264,7 +263,7 @@ class Server:
         if self._windows is None:
             from cm.server.window_clients import OpenWindows
 
-            self._windows = OpenWindows(self._loop, self._manager, self._devices, self._sessions)
+            self._windows = OpenWindows(self._loop, self._manager, self._devices, self._connections)
             self._status.at_rest = self._windows.ask_again
         self._windows.open(connection, wanted, peer)
 
@@ -282,7 +281,7 @@ class Server:
         for poll in (
             self._reloader.continue_waiting,
             self._reloader.poll,
-            self._sessions.end_expired,
+            self._connections.end_expired,
             self._board.poll,
         ):
             poll()

@@ -13,10 +13,10 @@ from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Protocol
 
 from cm.errors import Busy, CmError
 from cm.loop import Timer
+from cm.server.connections import Connections
 from cm.server.long_work import RoundRobin
 from cm.server.private_folders import share
 from cm.server.sockets import Loop
@@ -120,16 +120,6 @@ _BACKLOG = 256  # connections that the kernel keeps waiting
 _QUEUED = 64  # connections that have said what they want, and wait for their turn
 
 
-class ConnectionRights(Protocol):
-    """Who a peer is, and what it may do (`cm.server.connections.Sessions`)."""
-
-    def whose(self, connection: socket.socket) -> str:
-        """The id of the peer."""
-
-    def check_open(self, who: str, wanted: Open) -> None:
-        """Raise Forbidden if the peer of that id has no right to what it wants, as the board is now."""
-
-
 Serve = Callable[[socket.socket, Open, Peer], Iterator[object] | None]  # the caller closes the connection
 
 
@@ -141,7 +131,7 @@ class DataSocket:
         loop: Loop,
         folder: Path,
         serve: Mapping[Purpose, Serve],
-        sessions: ConnectionRights,
+        rights: Connections,
         turns: RoundRobin,
         group: int | None = None,
     ) -> None:
@@ -149,14 +139,14 @@ class DataSocket:
         self._loop = loop
         self._path = folder.absolute() / packets.SOCKET
         self._serves = serve
-        self._sessions = sessions
+        self._rights = rights
         self._turns = turns
         self._group = group
         self._queued: dict[socket.socket, str] = {}  # connections not yet served, and their processes
         self._under_way: dict[socket.socket, Generator[object, None, None]] = {}
         # SEQPACKET keeps packets apart, and file descriptors (SCM_RIGHTS) with the packet that carries them.
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
-        self._awaiting = AwaitingOpen(loop, self._listener, sessions.whose, self._queue)
+        self._awaiting = AwaitingOpen(loop, self._listener, rights.whose, self._queue)
 
     def open(self) -> None:
         """Bind and listen, replacing the socket that a killed manager left (the folder is locked, so it is dead)."""
@@ -169,7 +159,7 @@ class DataSocket:
     def _queue(self, connection: socket.socket, packet: bytes) -> None:
         """Queue a connection for its turn: opening streams and allocating slots hold up the loop."""
         try:
-            who = self._sessions.whose(connection)
+            who = self._rights.whose(connection)
             self._check_place(who)
         except (Busy, OSError) as error:
             with connection, suppress(OSError):
@@ -194,7 +184,7 @@ class DataSocket:
             with connection, suppress(OSError):
                 try:
                     wanted = decode_open(packet)
-                    self._sessions.check_open(self._queued[connection], wanted)
+                    self._rights.check_open(self._queued[connection], wanted)
                     yield from self._serves[wanted.purpose](connection, wanted, Peer.of(connection)) or ()
                 except CmError as error:
                     connection.send(encode_refused(error.code, str(error)))

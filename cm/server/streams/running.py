@@ -24,6 +24,7 @@ from cm.frozen import replace
 from cm.manager.access.leases import Leases
 from cm.manager.status_reports import stream_status
 from cm.schema.model import Config, Direction, Stream
+from cm.server.connections import Connections
 from cm.server.devices import BoardDevices
 from cm.server.long_work import NOT_YET, RoundRobin
 from cm.server.settings.model import USUAL, Limits
@@ -31,7 +32,6 @@ from cm.server.sockets import Loop
 from cm.server.streams.channel_setup import changed, setup
 from cm.server.streams.client_memory import ClientMemories
 from cm.server.streams.client_process import Peer
-from cm.server.streams.data_socket import ConnectionRights
 from cm.server.streams.lifecycle import StreamLifecycle, StreamStopped
 from cm.server.streams.machine import OPEN_PHASES, NoSlots, Step, StreamEvent, StreamPhase
 from cm.server.streams.over_zmq import ZmqReader, ZmqWriter
@@ -88,11 +88,11 @@ class Streams:
         self._ours: dict[str, ZmqReader | ZmqWriter] = {}  # our own clients, for ZeroMQ, by their stream
         self._failures: dict[str, ErrorInfo] = {}  # by stream of this mode: why it last failed
         self._idle: dict[str, tuple[Stream, StreamStatus]] = {}
-        self._rights: ConnectionRights
+        self._rights: Connections
         self.renew(limits)
         loop.add(self._plane.fileno(), self._plane_event)
 
-    def begin(self, rights: ConnectionRights) -> None:
+    def begin(self, rights: Connections) -> None:
         """Ask this for the rights of clients of the data socket, from before the first one."""
         self._rights = rights
 

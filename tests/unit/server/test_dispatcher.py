@@ -44,7 +44,7 @@ class Bench:
         gate: Any = SimpleNamespace(guest=lambda bridge, name: f"{name} through {bridge}")
         manager: Any = SimpleNamespace(registers=SimpleNamespace(visible_names=lambda: ()), memories=None)
         services: Any = SimpleNamespace(
-            sessions=SimpleNamespace(gate=gate), clients=self.clients, turns=RoundRobin(loop), manager=manager
+            connections=SimpleNamespace(gate=gate), clients=self.clients, turns=RoundRobin(loop), manager=manager
         )
         publisher: Any = SimpleNamespace(sequence=7)
         monkeypatch.setattr(dispatcher, "receive_from", lambda _, routed: self.coming.pop(0))

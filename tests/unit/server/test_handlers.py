@@ -102,12 +102,13 @@ class Bench:
         self.services: Any = Services(
             manager=manager, streams=streams, board=SimpleNamespace(notice_error=self.noticed.append),
             turns=SimpleNamespace(start=self._start), clients=self.clients,
-            sessions=SimpleNamespace(gate=SimpleNamespace(admit=lambda _, request, *__: request), scene=None),
+            connections=SimpleNamespace(
+                gate=SimpleNamespace(admit=lambda _, request, *__: request), scene=None, counted=lambda: {NAME: 2}
+            ),
             uploads=SimpleNamespace(fill_in=lambda _: None), status=lambda: status, leases=None,
             files=SimpleNamespace(submit=self._submit_work), provisioner=None,
             interrupts=SimpleNamespace(counts={"done": 3}), complete=None, renew_config=self.given.append,
             loop=SimpleNamespace(call_threadsafe=lambda call: call()),
-            connections=SimpleNamespace(counted=lambda: {NAME: 2}),
             audits=SimpleNamespace(publisher=SimpleNamespace(wants_audit=False)),
         )  # type: ignore[arg-type]  # fmt: skip
         self.held: list[Holds] = []
@@ -428,7 +429,7 @@ def sent() -> Any:
         owned={"a": Owned("uid:1000", "anna", 123, 7), "b": Owned("uid:1000", "anna", 5)}, reserved=frozenset("b")
     )
     gate = Gate(access, users)
-    return SimpleNamespace(manager=manager, provisioner=provisioner, sessions=SimpleNamespace(gate=gate))
+    return SimpleNamespace(manager=manager, provisioner=provisioner, connections=SimpleNamespace(gate=gate))
 
 
 def test_all_configurations_are_listed_with_who_sent_them_and_how_much(sent: Any) -> None:

@@ -16,7 +16,7 @@ from manager_process import CAMERA
 
 from cm.errors import Forbidden
 from cm.schema import load_folder
-from cm.server.connections import Connections, Sessions, raise_descriptors
+from cm.server.connections import Connections, raise_descriptors
 from cm.server.rights.admission import Gate
 from cm.server.rights.model import Access, AuthorizedKey, Grant, Role
 from cm.server.rights.policy import Users
@@ -83,9 +83,9 @@ def test_of_two_subscribers_the_one_that_takes_nothing_is_ended(
     tmp_path: Path, two: tuple[Subscriber, Subscriber], clock: list[float], caplog: pytest.LogCaptureFixture
 ) -> None:
     slow, stuck = two
-    connections = Connections(tmp_path, [])
+    watched = connections(tmp_path)
     for _ in range(3):
-        connections.end_stuck()
+        watched.end_stuck()
         assert slow.takes() == PIECE
         clock[0] += 0.06
     assert [slow.ended, stuck.ended] == [False, True]
@@ -96,21 +96,21 @@ def test_of_two_subscribers_the_one_that_takes_nothing_is_ended(
 def test_nobody_is_ended_for_what_was_unread_a_moment_ago(
     tmp_path: Path, two: tuple[Subscriber, Subscriber], clock: list[float]
 ) -> None:
-    connections = Connections(tmp_path, [])
+    watched = connections(tmp_path)
     for _ in range(100):  # asked again and again
-        connections.end_stuck()
+        watched.end_stuck()
     clock[0] += 0.06
-    connections.end_stuck()
+    watched.end_stuck()
     assert [one.ended for one in two] == [False, False]  # and have read all
     clock[0] += 10.0
-    connections.end_stuck()
+    watched.end_stuck()
     assert [one.ended for one in two] == [False, False]
 
 
 def test_connections_are_counted_by_where_they_lead(tmp_path: Path, two: tuple[Subscriber, Subscriber]) -> None:
     assert len(two) == 2
-    assert Connections(tmp_path, []).counted() == {f"pid {os.getpid()}": 2}
-    assert Connections(tmp_path / "elsewhere", []).counted() == {}
+    assert connections(tmp_path).counted() == {f"pid {os.getpid()}": 2}
+    assert connections(tmp_path / "elsewhere").counted() == {}
 
 
 @pytest.mark.parametrize(("descriptors", "ended"), [(4, True), (12, False), (1 << 20, False)])
@@ -123,7 +123,7 @@ def test_a_client_that_takes_up_the_descriptors_loses_its_connections(
     ended: bool,
 ) -> None:
     monkeypatch.setattr("cm.server.connections.resource.getrlimit", lambda _: (descriptors, descriptors))
-    Connections(tmp_path, []).settle()
+    connections(tmp_path).settle()
     assert [one.ended for one in two] == [ended, ended]
     told = f"2 connections of pid {os.getpid()} were ended: they take up the descriptors (RLIMIT_NOFILE)"
     assert caplog.messages == [told] * ended
@@ -165,6 +165,7 @@ def test_a_connection_that_has_gone_is_left_alone(two: tuple[Subscriber, Subscri
 
 USERS = Users({1000: "anna"}.get, lambda *_: (), 500)  # type: ignore[arg-type]
 KEY = "k" * 40
+ANYONE = Access()
 
 
 @pytest.fixture
@@ -173,13 +174,15 @@ def anna(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cm.server.connections.credentials", lambda _: (77, 1000, 1000))
 
 
-def sessions(folder: Path, access: Access, tcp: tuple[Endpoints, ...] = (), **gate: Any) -> Sessions:
+def connections(folder: Path, access: Access = ANYONE, tcp: tuple[Endpoints, ...] = (), **gate: Any) -> Connections:
     camera = load_folder(CAMERA)["camera"]
     state = SimpleNamespace(config="camera", mode="default", modules={})
     manager: Any = SimpleNamespace(
         loaded_config=lambda: camera, configs={"camera": camera}, state=state, running=None, coming=None
     )
-    return Sessions(Gate(access, USERS, **gate), folder, list(tcp), manager)
+    made = Connections(Gate(access, USERS, **gate), folder, list(tcp))
+    made.begin(manager)
+    return made
 
 
 @pytest.mark.usefixtures("anna")
@@ -190,9 +193,9 @@ def sessions(folder: Path, access: Access, tcp: tuple[Endpoints, ...] = (), **ga
 def test_who_loses_or_gains_rights_is_disconnected_and_nobody_else(
     tmp_path: Path, two: tuple[Subscriber, ...], caplog: pytest.LogCaptureFixture, said: dict[str, Any], ended: bool
 ) -> None:
-    sessions(tmp_path / "elsewhere", Access()).renew(Access(**said))
+    connections(tmp_path / "elsewhere", Access()).renew(Access(**said))
     assert [one.ended for one in two] == [False, False]
-    sessions(tmp_path, Access()).renew(Access(**said))
+    connections(tmp_path, Access()).renew(Access(**said))
     assert [one.ended for one in two] == [ended, ended]
     assert caplog.messages == ["rights have changed: 2 connections ended"] * ended
 
@@ -204,7 +207,7 @@ def test_the_holder_of_a_key_that_has_expired_is_disconnected(tmp_path: Path, po
         ours, _ = listener.accept()
         at = f"tcp://127.0.0.1:{listener.getsockname()[1] + port}"
         access = Access(keys=(AuthorizedKey(KEY, "laptop", ("observe",), 10.0),))
-        known = sessions(
+        known = connections(
             tmp_path, access, (Endpoints("tcp://127.0.0.1:1", "tcp://127.0.0.1:2", at),), now=lambda: clock[0]
         )
         known.gate.enter("curve", address, "CURVE", KEY)
@@ -241,15 +244,15 @@ def test_what_a_connection_opens_takes_a_right_to_it(
             topics = ("*",) if on == "everything" else ("data",)
             access = Access(local=("one",), roles={"one": Grant(given, topics=topics)})
             if given >= needed:
-                (made := sessions(tmp_path, access)).check_open(made.whose(ours), wanted)
+                (made := connections(tmp_path, access)).check_open(made.whose(ours), wanted)
                 continue
             with pytest.raises(Forbidden) as refused:
-                (made := sessions(tmp_path, access)).check_open(made.whose(ours), wanted)
+                (made := connections(tmp_path, access)).check_open(made.whose(ours), wanted)
             said = f"anna (uid 1000, pid 77) has no right to {on}; it takes the role {role} there"
             assert str(refused.value) == said
             assert caplog.messages == [f"refused: {said}"]
             caplog.clear()
-    assert sessions(tmp_path, Access()).whose(ours) == "data:1000:1000:77"
+    assert connections(tmp_path, Access()).whose(ours) == "data:1000:1000:77"
 
 
 @pytest.mark.parametrize(
