@@ -8,37 +8,28 @@ from __future__ import annotations
 
 from typing import Any
 
-from cm.pynq.buffer import PynqBuffer, Xlnk, allocate
-from cm.pynq.interrupt import Interrupt
-from cm.pynq.mmio import MMIO
-from cm.pynq.overlay import PL, DefaultHierarchy, DefaultIP, Overlay, UnsupportedConfiguration
-from cm.pynq.ps import Clocks
-from cm.pynq.registers import Register, RegisterMap
+from cm.pynq.board import Clocks as Clocks
+from cm.pynq.buffer import PynqBuffer as PynqBuffer
+from cm.pynq.buffer import Xlnk as Xlnk
+from cm.pynq.buffer import allocate as allocate
+from cm.pynq.interrupt import Interrupt as Interrupt
+from cm.pynq.mmio import MMIO as MMIO
+from cm.pynq.overlay import PL as PL
+from cm.pynq.overlay import DefaultHierarchy as DefaultHierarchy
+from cm.pynq.overlay import DefaultIP as DefaultIP
+from cm.pynq.overlay import Overlay as Overlay
+from cm.pynq.overlay import UnsupportedConfiguration as UnsupportedConfiguration
+from cm.pynq.registers import Register as Register
+from cm.pynq.registers import RegisterMap as RegisterMap
 
-__all__ = [
-    "MMIO",
-    "PL",
-    "Clocks",
-    "DefaultHierarchy",
-    "DefaultIP",
-    "Interrupt",
-    "Overlay",
-    "PynqBuffer",
-    "Register",
-    "RegisterMap",
-    "UnsupportedConfiguration",
-    "Xlnk",
-    "allocate",
-]
-
+_MEASURED = "board.status.sensors of cm.connect() has what the board measures"
 _ELSEWHERE = {
     "GPIO": "the processor's own GPIO is the kernel's (libgpiod); decouplers on it are the manager's",
     "Device": "a program has one board, that of $CM_CONNECT or of this machine",
     "Bitstream": "Overlay loads a configuration that `cm import pynq` made",
     "DeviceTreeSegment": "the manager applies the overlays of a configuration",
     "UioController": "interrupts are the manager's",
-    "get_rails": "board.status.sensors of cm.connect() has what the board measures",
-    "DataRecorder": "board.status.sensors of cm.connect() has what the board measures",
+    **dict.fromkeys(("get_rails", "DataRecorder"), _MEASURED),
 }
 
 

@@ -9,22 +9,15 @@ from pathlib import Path
 
 from cm.pynq.alias import install
 
-
-def main() -> None:
-    """Run the program that the command line names, as ``python program.py`` would."""
+if __name__ == "__main__":
     if len(sys.argv) < 2:
         sys.exit("usage: python -m cm.pynq program.py [ARGUMENT...]")
-    program = Path(sys.argv[1])
-    if not program.is_file():
-        sys.exit(f"{program}: there is no such program")
+    if not Path(sys.argv[1]).is_file():
+        sys.exit(f"{sys.argv[1]}: there is no such program")
     try:
         install()
     except ImportError as error:
         sys.exit(str(error))
     sys.argv = sys.argv[1:]
-    sys.path[0] = str(program.resolve().parent)
-    runpy.run_path(str(program), run_name="__main__")
-
-
-if __name__ == "__main__":
-    main()
+    sys.path[0] = str(Path(sys.argv[0]).resolve().parent)
+    runpy.run_path(sys.argv[0], run_name="__main__")

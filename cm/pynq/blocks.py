@@ -18,11 +18,11 @@ Description = Mapping[str, Any]
 def blocks(hwh: Hwh) -> dict[str, dict[str, Any]]:
     """`ip_dict`: what the processor reaches, by path. Beside PYNQ's keys, `channels`: the streams of a DMA."""
     found: dict[str, dict[str, Any]] = {}
+    channels, lines = channel_names(hwh), handoff.interrupts(hwh)
     for window in (*handoff.windows(hwh), *handoff.memories(hwh)):
         module = hwh.modules.get(window.instance)
         if module is None or (path := module.path.strip("/")) in found:
             continue
-        pins = [line for line in handoff.interrupts(hwh) if line.instance == window.instance]
         found[path] = {
             "type": module.vlnv,
             "phys_addr": window.base,
@@ -33,48 +33,39 @@ def blocks(hwh: Hwh) -> dict[str, dict[str, Any]]:
             "registers": {info.name: _register(info) for info in handoff.registers(module, window.interface)},
             "interrupts": {
                 pin.port: {"controller": pin.controller or "", "index": pin.index, "fullpath": f"{path}/{pin.port}"}
-                for pin in pins
+                for pin in lines
+                if pin.instance == window.instance
             },
-            "channels": {
-                channel.direction: stream
-                for channel, stream in channel_names(hwh).items()
-                if channel.instance == window.instance
-            },
+            "channels": {one.direction: name for one, name in channels.items() if one.instance == window.instance},
         }
     return found
 
 
 def _register(info: RegisterInfo) -> dict[str, Any]:
     access = info.access or "read-write"
-    return {
-        "address_offset": info.offset,
-        "size": info.size,
-        "access": access,
-        "description": info.doc,
-        "fields": {
-            field.name: {
-                "bit_offset": field.lsb,
-                "bit_width": field.width,
-                "access": field.access or access,
-                "description": field.doc,
-            }
-            for field in info.fields
-        },
+    fields = {
+        field.name: {
+            "bit_offset": field.lsb,
+            "bit_width": field.width,
+            "access": field.access or access,
+            "description": field.doc,
+        }
+        for field in info.fields
     }
+    known = {"address_offset": info.offset, "size": info.size, "access": access, "description": info.doc}
+    return {**known, "fields": fields}
 
 
 def hierarchies(found: Mapping[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
     """`hierarchy_dict`: by path, each with the blocks and the hierarchies right in it by name."""
-    paths = {str(above): above for path in found for above in PurePosixPath(path).parents if above.name}
-    made: dict[str, dict[str, Any]] = {
-        path: {
-            "fullpath": path,
-            "ip": {PurePosixPath(name).name: one for name, one in found.items() if PurePosixPath(name).parent == above},
-            "hierarchies": {},
-        }
-        for path, above in paths.items()
-    }
-    for path, above in paths.items():
-        if above.parent.name:
-            made[str(above.parent)]["hierarchies"][above.name] = made[path]
+    made: dict[str, dict[str, Any]] = {}
+    for path in map(PurePosixPath, found):
+        inner, kind, one = path, "ip", found[str(path)]
+        while (above := inner.parent).name:
+            new = str(above) not in made
+            there = made.setdefault(str(above), {"fullpath": str(above), "ip": {}, "hierarchies": {}})
+            there[kind][inner.name] = one
+            inner, kind, one = above, "hierarchies", there
+            if not new:
+                break
     return made

@@ -4,13 +4,12 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
 from contextlib import suppress
 
 from cm.errors import Timeout
 from cm.pynq.board import board
 
-SLICE = 0.25  # seconds that a thread waits before it looks whether anybody still wants it to
+_SLICE = 0.25  # seconds that a thread waits before it looks whether anybody still wants it to
 
 
 class Interrupt:
@@ -21,17 +20,11 @@ class Interrupt:
 
     async def wait(self) -> None:
         """Until it comes; one that came since this program's last wait counts. Raises RequestNotFound."""
-        await until(self._came)
+        while not await asyncio.get_running_loop().run_in_executor(None, self._came):
+            pass
 
     def _came(self) -> bool:
         with suppress(Timeout):
-            board().interrupts[self._name].wait(SLICE)
+            board().interrupts[self._name].wait(_SLICE)
             return True
         return False
-
-
-async def until(came: Callable[[], bool]) -> None:
-    """Call `came`, which waits for a while, in another thread until it is true."""
-    loop = asyncio.get_running_loop()
-    while not await loop.run_in_executor(None, came):
-        pass

@@ -25,7 +25,7 @@ class MMIO:
         if base_addr < 0 or length < 0:
             raise ValueError("Base address or length cannot be negative.")
         self.base_addr, self.length, self.device = index(base_addr), index(length), device
-        self.array = WordArray(self)
+        self.array = WordArray(range(self.base_addr, self.base_addr + self.length // WORD * WORD, WORD))
         self._loads: dict[int, Callable[[], int]] = {}
 
     def read(self, offset: int = 0, length: int = 4, word_order: str = "little") -> int:
@@ -46,24 +46,25 @@ class MMIO:
         if length == WORD and (load := places().load(address)) is not None:
             self._loads[index(offset)] = load
             return load()
+        low = places().read(address)
         if length < 8:
-            return places().read(address) & ((1 << 8 * length) - 1)
-        first, second = places().read(address), places().read(address + WORD)
-        return first << 32 | second if word_order == "big" else second << 32 | first
+            return low & ((1 << 8 * length) - 1)
+        high = places().read(address + WORD)
+        return low << 32 | high if word_order == "big" else high << 32 | low
 
     def write(self, offset: int, data: Any) -> None:
         """Write a word, or bytes as words. Integers from -2^31 to 2^32 - 1, of numpy too.
 
         Raises ValueError for others, MemoryError for what is not whole words, IndexError outside the window.
         """
-        if isinstance(data, (bytes, bytearray, memoryview)):
-            raw = bytes(data)
-            if len(raw) % WORD:
-                raise MemoryError("Unaligned write: data length must be multiple of 4.")
-            address = self._address(offset, len(raw))
-            places().write_all(range(address, address + len(raw), WORD), np.frombuffer(raw, "<u4"))
-        else:
+        if not isinstance(data, (bytes, bytearray, memoryview)):
             places().write(self._address(offset, WORD), word(data))
+            return
+        raw = bytes(data)
+        if len(raw) % WORD:
+            raise MemoryError("Unaligned write: data length must be multiple of 4.")
+        address = self._address(offset, len(raw))
+        places().write_all(range(address, address + len(raw), WORD), np.frombuffer(raw, "<u4"))
 
     def write_masked(self, offset: int, value: int, mask: int) -> None:
         """Write only the bits in `mask` of a word."""
@@ -82,8 +83,8 @@ class MMIO:
 class WordArray:
     """The words of a window by index and slice, as a numpy array has them; reads are copies."""
 
-    def __init__(self, mmio: MMIO) -> None:
-        self._where = range(mmio.base_addr, mmio.base_addr + mmio.length // WORD * WORD, WORD)
+    def __init__(self, where: range) -> None:
+        self._where = where
 
     def __len__(self) -> int:
         return len(self._where)
@@ -98,8 +99,8 @@ class WordArray:
             places().write(self._where[index(key)], word(value))
             return
         where = self._where[key]
-        values = np.broadcast_to(np.asarray(value), (len(where),))
-        places().write_all(where, np.array([word(item) for item in values.tolist()], "<u4"))
+        values = np.broadcast_to(np.asarray(value), (len(where),)).tolist()
+        places().write_all(where, np.array([word(item) for item in values], "<u4"))
 
 
 def word(value: Any) -> int:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar
@@ -26,7 +26,7 @@ class UnsupportedConfiguration(Exception):
 class DefaultIP:
     """A block. The overlay gives a subclass where one's `bindto` names the block's VLNV, with or without version."""
 
-    bindto: ClassVar[list[str]] = []
+    bindto: ClassVar[Sequence[str]] = ()
     drivers: ClassVar[dict[str, type[DefaultIP]]] = {}
 
     def __init_subclass__(cls, **options: Any) -> None:
@@ -82,11 +82,9 @@ class DefaultHierarchy:
     def __getattr__(self, name: str) -> Any:
         inside = {} if name.startswith("_") else self._inside()
         if name not in inside:
-            raise AttributeError(
-                f"Could not find IP or hierarchy {name} in overlay; there are: {', '.join(inside) or 'none'}"
-            )
-        vars(self)[name] = _made(inside[name])
-        return vars(self)[name]
+            there = ", ".join(inside) or "none"
+            raise AttributeError(f"Could not find IP or hierarchy {name} in overlay; there are: {there}")
+        return vars(self).setdefault(name, _made(inside[name]))
 
     def __dir__(self) -> list[str]:
         return [*super().__dir__(), *self._inside()]
@@ -128,11 +126,10 @@ class Overlay(DefaultHierarchy):
         self.bitfile_name, self._name = str(bit), to_name(bit.stem)
         self.ip_dict = blocks(read(described_by(bit)))
         self.hierarchy_dict = hierarchies(self.ip_dict)
-        top = {
-            "ip": {name: block for name, block in self.ip_dict.items() if "/" not in name},
-            "hierarchies": {name: block for name, block in self.hierarchy_dict.items() if "/" not in name},
-        }
-        super().__init__(top)
+        top = {"ip": self.ip_dict, "hierarchies": self.hierarchy_dict}
+        super().__init__(
+            {kind: {name: one for name, one in all_.items() if "/" not in name} for kind, all_ in top.items()}
+        )
         if download:
             self.download()
         PL.bitfile_name, PL.ip_dict = self.bitfile_name, self.ip_dict

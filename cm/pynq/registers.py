@@ -5,21 +5,38 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from typing import Any, TypeVar
+from typing import Any, ClassVar
 
 from cm.client.places import WHOLE
 from cm.pynq.mmio import MMIO
 
 _READ_ONLY, _WRITE_ONLY = "read-only", "write-only"
-_T = TypeVar("_T")
 _Infos = Mapping[str, Mapping[str, Any]]
 
 
-class Register:
+class _Named:
+    """What has attributes by the names of a `.hwh`; one that is not there raises AttributeError with those that are."""
+
+    _kind: ClassVar[str]
+    _known: Mapping[str, Any]
+
+    def _find(self, name: str) -> Any:
+        known = vars(self).get("_known", {})
+        if name not in known:
+            raise AttributeError(f"no {self._kind} {name!r}; there are: {', '.join(known) or 'none'}")
+        return known[name]
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *self._known]
+
+
+class Register(_Named):
     """A register of 32 or 64 bits. ``register[7:4]`` has both ends, as in hardware; fields are attributes.
 
     It is an object, not a number: ``int(register)`` or ``register[:]`` reads it.
     """
+
+    _kind = "field"
 
     def __init__(
         self,
@@ -33,10 +50,11 @@ class Register:
         if width not in (32, 64):
             raise ValueError("Supported register width is 32 or 64.")
         window, offset = (MMIO(address, width // 8), 0) if buffer is None else (buffer, address)
-        named = {_attribute(name): field for name, field in (fields or {}).items()}
-        vars(self).update(address=address, width=width, access=access, _mmio=window, _offset=offset, _fields=named)
-        places = {name: (field["bit_offset"], (1 << field["bit_width"]) - 1) for name, field in named.items()}
-        vars(self)["_places"] = {} if access == _WRITE_ONLY else places
+        known = {  # lowest bit, bits in their place at 0, access
+            _attribute(name): (field["bit_offset"], (1 << field["bit_width"]) - 1, field["access"])
+            for name, field in (fields or {}).items()
+        }
+        vars(self).update(address=address, width=width, access=access, _mmio=window, _offset=offset, _known=known)
 
     def __getitem__(self, bits: int | slice) -> Any:
         """A bit, or bits; from the low end up they come in reverse. ``"write-only"`` where nothing can be read."""
@@ -54,6 +72,8 @@ class Register:
         if self.access == _READ_ONLY:
             raise AttributeError(f"the register at {self.address:#x} is read-only")
         number, mask = int(value), ((1 << count) - 1) << low
+        if isinstance(value, float) and number != value:
+            raise ValueError(f"{value} is not a whole number")
         if count == self.width and -1 << count - 1 <= number < 0:
             number += 1 << count  # a whole register may hold a signed number
         if not 0 <= number < 1 << count:
@@ -64,15 +84,16 @@ class Register:
                 self._mmio.write_masked(self._offset + shift // 8, number >> shift & WHOLE, mask >> shift & WHOLE)
 
     def __getattr__(self, name: str) -> Any:
-        place = vars(self).get("_places", {}).get(name)
-        if place is None:
-            return self[_bits(self._field(name))]
-        return self._mmio.read(self._offset, self.width // 8) >> place[0] & place[1]
+        low, mask, _ = self._find(name)
+        if self.access == _WRITE_ONLY:
+            return self.access
+        return self._mmio.read(self._offset, self.width // 8) >> low & mask
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if self._field(name)["access"] == _READ_ONLY:
+        low, mask, access = self._find(name)
+        if access == _READ_ONLY:
             raise AttributeError(f"field {name} is read-only")
-        self[_bits(self._field(name))] = value
+        self[low + mask.bit_length() - 1 : low] = value
 
     def __int__(self) -> int:
         if self.access == _WRITE_ONLY:
@@ -85,60 +106,40 @@ class Register:
         return hex(int(self))
 
     def __repr__(self) -> str:
-        whole, found = self[:], []
-        for name, field in self._fields.items():
-            hidden = _WRITE_ONLY in (whole, field["access"])
-            value = _WRITE_ONLY if hidden else whole >> field["bit_offset"] & ((1 << field["bit_width"]) - 1)
-            found.append(f"{name}={value}")
-        return f"Register({', '.join(found) or f'value={whole}'})"
-
-    def __dir__(self) -> list[str]:
-        return [*super().__dir__(), *self._fields]
-
-    def _field(self, name: str) -> Mapping[str, Any]:
-        fields: _Infos = vars(self).get("_fields", {})
-        return _found("field", name, fields)
+        whole = self[:]
+        shown = [
+            f"{name}={_WRITE_ONLY if _WRITE_ONLY in (whole, access) else whole >> low & mask}"
+            for name, (low, mask, access) in self._known.items()
+        ]
+        return f"Register({', '.join(shown) or f'value={whole}'})"
 
 
-class RegisterMap:
+class RegisterMap(_Named):
     """The registers of a block by name; printing it reads all that can be read."""
 
-    def __init__(self, mmio: MMIO, registers: _Infos) -> None:
-        found: dict[str, Register] = {}
-        for name, info in sorted(registers.items(), key=lambda item: int(item[1]["address_offset"])):
-            width = 64 if info["size"] > 32 else 32
-            one = Register(info["address_offset"], width, mmio, info["access"], info["fields"])
-            if info["size"] <= 64:
-                found.setdefault(_attribute(name), one)
-        vars(self).update(found, _registers=found)
+    _kind = "register"
 
-    def __getattr__(self, name: str) -> Register:
-        registers: Mapping[str, Register] = vars(self).get("_registers", {})
-        return _found("register", name, registers)
+    def __init__(self, mmio: MMIO, registers: _Infos) -> None:
+        known: dict[str, Register] = {}
+        for name, info in sorted(registers.items(), key=lambda item: int(item[1]["address_offset"])):
+            if info["size"] <= 64:
+                width = 64 if info["size"] > 32 else 32
+                one = Register(info["address_offset"], width, mmio, info["access"], info["fields"])
+                known.setdefault(_attribute(name), one)
+        vars(self).update(known, _known=known)
+
+    def __getattr__(self, name: str) -> Any:
+        return self._find(name)
 
     def __setattr__(self, name: str, value: Any) -> None:
-        _found("register", name, vars(self)["_registers"])[:] = value
-
-    def __dir__(self) -> list[str]:
-        return [*super().__dir__(), *vars(self)["_registers"]]
+        self._find(name)[:] = value
 
     def __repr__(self) -> str:
-        lines = [f"  {name} = {one!r}" for name, one in vars(self)["_registers"].items()]
-        return "RegisterMap {\n" + ",\n".join(lines) + "\n}"
-
-
-def _found(kind: str, name: str, known: Mapping[str, _T]) -> _T:
-    if name not in known:
-        raise AttributeError(f"no {kind} {name!r}; there are: {', '.join(known) or 'none'}")
-    return known[name]
+        return "RegisterMap {\n" + ",\n".join(f"  {name} = {one!r}" for name, one in self._known.items()) + "\n}"
 
 
 def _attribute(name: str) -> str:
     return re.sub(r"[^a-zA-Z0-9_]", "_", f"r{name}" if name[:1].isdigit() else name)
-
-
-def _bits(field: Mapping[str, Any]) -> slice:
-    return slice(field["bit_offset"] + field["bit_width"] - 1, field["bit_offset"])
 
 
 def _turned(value: int, count: int, reverse: bool) -> int:
@@ -147,18 +148,18 @@ def _turned(value: int, count: int, reverse: bool) -> int:
 
 def _ends(bits: int | slice, width: int) -> tuple[int, int, bool]:
     """The lowest bit, how many, and whether they were named from the low end up."""
+    start = stop = bits
     if isinstance(bits, slice):
         if bits.step not in (None, 1, -1):
             raise ValueError("Slicing step is not valid.")
         ends = (0, width - 1) if bits.step == 1 else (width - 1, 0)
         start, stop = (
-            end if given is None else given for given, end in zip((bits.start, bits.stop), ends, strict=True)
+            (bits.start if bits.start is not None else ends[0]),
+            (bits.stop if bits.stop is not None else ends[1]),
         )
-    else:
-        start = stop = bits
+    if not (isinstance(start, int) and isinstance(stop, int)):
+        raise ValueError("Index must be int or slice.")
     for end in (start, stop):
-        if not isinstance(end, int):
-            raise ValueError("Index must be int or slice.")
         if end not in range(width):
             raise ValueError(f"Slicing endpoint {end} not in range 0 - {width - 1}")
     return min(start, stop), abs(start - stop) + 1, start < stop

@@ -7,8 +7,21 @@ from typing import Any
 
 from cm.pynq.lib.axigpio import AxiGPIO
 from cm.pynq.lib.dma import DMA
+from cm.pynq.overlay import DefaultIP
 
-__all__ = ["DMA", "AxiGPIO"]
+__all__ = ["DMA", "AxiGPIO", "AxiIIC"]
+
+
+class AxiIIC(DefaultIP):
+    """An AXI IIC. Its `send`, `receive` and `wait` raise NotImplementedError."""
+
+    bindto = ("xilinx.com:ip:axi_iic:2.1",)
+
+    def send(self, *_: Any) -> int:
+        """Not possible."""
+        raise NotImplementedError("an AXI IIC is the kernel's (i2c-xiic): /dev/i2c-N, for the users who may open it")
+
+    receive = wait = send
 
 
 def __getattr__(name: str) -> Any:

@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 import asyncio
+from functools import partialmethod
 from typing import ClassVar
 
 from cm.pynq.interrupt import Interrupt
 from cm.pynq.overlay import DefaultIP, Description
 
 _IN, _OUT, _BOTH = "in", "out", "inout"
+_ENABLE, _GLOBAL = 0x128, 0x11C
 
 
 class Wires:
@@ -36,12 +38,10 @@ class Wires:
         self._channel.write(val << self._start, self._mask << self._start)
 
     def on(self) -> None:
-        """Write ones."""
+        """Write ones; `off` writes zeros."""
         self.write(self._mask)
 
-    def off(self) -> None:
-        """Write zeros."""
-        self.write(0)
+    off = partialmethod(write, 0)
 
     def toggle(self) -> None:
         """Write the opposite of what was written last."""
@@ -108,32 +108,33 @@ class Channel:
 
     async def wait_for_interrupt_async(self) -> None:
         """Until a wire has changed; the manager acknowledges it."""
-        pins = self._parent.description["interrupts"]
+        pins, mask = self._parent.description["interrupts"], 1 << self._number
         if "ip2intc_irpt" not in pins:
             raise RuntimeError("Interrupts not available for this IP")
         interrupt = Interrupt(pins["ip2intc_irpt"]["fullpath"] + ("_2" if self._number else ""))  # by its status bit
-        mask = 1 << self._number
         self._waiting += 1
-        self._parent.mmio.write_masked(0x128, mask, mask)
+        self._parent.mmio.write_masked(_ENABLE, mask, mask)
         try:
             await interrupt.wait()
         finally:
             self._waiting -= 1
             if not self._waiting:
-                self._parent.mmio.write_masked(0x128, 0, mask)
+                self._parent.mmio.write_masked(_ENABLE, 0, mask)
 
 
 class AxiGPIO(DefaultIP):
     """An AXI GPIO with `channel1` and `channel2`; an index takes wires of the first."""
 
-    bindto: ClassVar[list[str]] = ["xilinx.com:ip:axi_gpio:2.0"]
-    Input, Output, InOut = _IN, _OUT, _BOTH
+    bindto = ("xilinx.com:ip:axi_gpio:2.0",)
+    Input: ClassVar[str] = _IN
+    Output: ClassVar[str] = _OUT
+    InOut: ClassVar[str] = _BOTH
 
     def __init__(self, description: Description) -> None:
         super().__init__(description)
         self.channel1, self.channel2 = self._channels = (Channel(self, 0), Channel(self, 1))
         if self.interrupts:
-            self.write(0x11C, 0x80000000)
+            self.write(_GLOBAL, 1 << 31)
 
     def setlength(self, length: int, channel: int = 1) -> None:
         """Set the number of wires of channel 1 or 2."""

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import asyncio
-from typing import Any, ClassVar
+from collections.abc import Mapping
+from typing import Any
 
 from cm.client.errors import ConnectionLost
 from cm.client.writer import Transfers
@@ -108,41 +109,33 @@ class _Channel:
 class _Engine(MMIO):
     """What the registers of the engine read as (PG021), by the transfers; the driver has the real ones."""
 
-    def __init__(self, dma: DMA) -> None:
-        super().__init__(dma.description["phys_addr"], dma.description["addr_range"])
-        self._channels = {0x00: dma.sendchannel, 0x30: dma.recvchannel}
+    channels: Mapping[int, _Channel | None]
 
     def read(self, offset: int = 0, length: int = 4, word_order: str = "little") -> int:
         """Control (run), status (halted, idle, error), address and length of a channel; 0 for the rest."""
         del word_order
         base = 0x30 if offset >= 0x30 else 0
-        channel = self._channels[base]
-        if channel is None:
+        channel = self.channels[base]
+        if channel is None or not super()._address(offset, length):
             return 0
-        found = {
-            0x00: int(channel.running),
-            0x04: int(not channel.running) | channel.idle << 1 | channel.error << 4,
-            0x18: channel.address,
-            0x1C: channel.address >> 32,
-            0x28: channel.transferred,
-        }
-        return found.get(offset - base, 0) & ((1 << 8 * length) - 1)
+        status = int(not channel.running) | channel.idle << 1 | channel.error << 4
+        known = {0x00: int(channel.running), 0x04: status, 0x18: channel.address, 0x1C: channel.address >> 32}
+        return {**known, 0x28: channel.transferred}.get(offset - base, 0) & ((1 << 8 * length) - 1)
 
     def write(self, offset: int, data: Any) -> None:
         """Not possible."""
-        raise NotImplementedError(
-            f"a DMA's registers are the driver's ({offset:#x} = {data}): transfer, start and stop"
-        )
+        said = "a DMA's registers are the driver's"
+        raise NotImplementedError(f"{said} ({offset:#x} = {data}): transfer, start and stop")
 
 
 class DMA(DefaultIP):
     """An AXI DMA: `sendchannel` and `recvchannel`; one that the design has not is None."""
 
-    bindto: ClassVar[list[str]] = ["xilinx.com:ip:axi_dma:7.1"]
+    bindto = ("xilinx.com:ip:axi_dma:7.1",)
 
     def __init__(self, description: Description) -> None:
         super().__init__(description)
-        channels = description["channels"]
-        self.sendchannel = _Channel(channels["mm2s"]) if "mm2s" in channels else None
-        self.recvchannel = _Channel(channels["s2mm"]) if "s2mm" in channels else None
-        self.mmio = _Engine(self)
+        there = {way: _Channel(stream) for way, stream in description["channels"].items()}
+        self.sendchannel, self.recvchannel = there.get("mm2s"), there.get("s2mm")
+        self.mmio = _Engine(description["phys_addr"], description["addr_range"])
+        self.mmio.channels = {0x00: self.sendchannel, 0x30: self.recvchannel}

@@ -28,6 +28,7 @@ def test_a_program_finds_pynq_its_own_folder_and_its_arguments(tmp_path: Path) -
         "import sys, beside, pynq.lib.dma\n"
         "from pynq import Overlay, MMIO\n"
         "from pynq.lib.axigpio import AxiGPIO\n"
+        "from pynq.ps import Clocks; from pynq.xlnk import Xlnk; from pynq.pl import PL\n"
         "print(__name__, sys.argv[1:], beside.VALUE, pynq.Overlay is Overlay, pynq.lib.dma.DMA.__module__)\n"
     )
     done = ran("-m", "cm.pynq", program(tmp_path, lines), "--fast", "2")
@@ -37,6 +38,10 @@ def test_a_program_finds_pynq_its_own_folder_and_its_arguments(tmp_path: Path) -
 @pytest.mark.parametrize(
     ("line", "said"),
     [
+        (
+            "from pynq.lib import AxiIIC; AxiIIC.send(None, 1, b'', 1)",
+            "the kernel's (i2c-xiic): /dev/i2c-N",
+        ),
         ("from pynq.overlays.base import BaseOverlay", "pynq.overlays is not here: cm.pynq has overlays, registers"),
         ("import pynq.lib.video", "pynq.lib.video is not here: cm.pynq has overlays, registers"),
         ("from pynq.lib import AudioADAU1761", "pynq.lib.AudioADAU1761 is not here: of pynq.lib there are AxiGPIO and"),

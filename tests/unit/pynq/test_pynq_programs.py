@@ -272,6 +272,8 @@ def test_a_memory_window_is_written_in_part_and_read_by_steps(overlay: pynq.Over
         (lambda ip: setattr(ip.register_map, "CTLR", 1), AttributeError, "no register 'CTLR'; there are: CTRL"),
         (lambda ip: setattr(ip.register_map.CTRL, "MODE", 16), ValueError, "4 bits hold 0 to 15"),
         (lambda ip: setattr(ip.register_map.CTRL, "MODE", -1), ValueError, "4 bits hold 0 to 15"),
+        (lambda ip: setattr(ip.register_map.CTRL, "MODE", 3.5), ValueError, "3.5 is not a whole number"),
+        (lambda ip: setattr(ip.register_map, "gain", 2.5), ValueError, "2.5 is not a whole number"),
         (lambda ip: setattr(ip.register_map.CTRL, "AP_DONE", 1), AttributeError, "AP_DONE is read-only"),
         (lambda ip: setattr(ip.register_map, "status", 1), AttributeError, "0x14 is read-only"),
         (lambda ip: ip.register_map.gain[40], ValueError, "40 not in range 0 - 31"),
