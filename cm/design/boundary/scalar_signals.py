@@ -85,7 +85,8 @@ def _fit_reset(reset: Reset, clocks: Clocks, module: ModuleInfo, fitting: Fittin
         return ""
     if reset.polarity is None:
         fitting.refused.append(
-            f"the polarity of the reset {reset.port} is not known: state it with X_INTERFACE_PARAMETER"
+            f"the polarity of the reset {reset.port} is not known: state it with X_INTERFACE_PARAMETER, or write "
+            f"resets: {{{reset.port}: {{polarity: low}}}} (or high) under the module"
         )
         return ""
     if not clocks.names:

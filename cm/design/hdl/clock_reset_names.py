@@ -29,18 +29,20 @@ _RESET_CORE = re.compile(r"n?(?P<before>[a-z0-9]{0,12}?)(?:rst|reset|arest)(?:n|
 _SHORT = {"w": "wr", "write": "wr", "r": "rd", "read": "rd", "pixel": "pix", "video": "vid", "source": "src"}
 _NOT_CLOCK = _words(
     "en ena enable ce cen sel select div divider valid cnt count locked lock req ack ok stop stopped gate "
-    "gated stopstate good bad loss lost edge rise fall rate period freq frequency dis disable active status mux phase "
-    "src stall err error override bypass polarity pol invert inv mode force test"
+    "gated stopstate oe oeb good bad loss lost edge rise fall rate period freq frequency dis disable active status mux "
+    "phase src stall err error override bypass polarity pol invert inv mode force test"
 )
+_SETTINGS = _words("cfg config conf csr")
 _ENABLES = frozenset(("en", "ena", "enable", "cen"))  # `ce` before clk is a name: ce_clk
 _RESET = re.compile(  # first, burst, preset are other words, as is what a transceiver resets; a, c, …: one of several
     r"(?!\w*(?:fi|bu|wo|bo)rst|p?preset$|\w*(?:cnt|buf|scan|lpm)reset)"
     r"(?P<n1>n)?[a-z0-9]{0,12}?(?:rst|reset|arest)(?P<n2>n|b|_n)?(?:[ac-h]|\d+(?:m|mhz|k|khz)?)?"
 )
 _NOT_RESET = _words(
-    "done cnt count busy req request ack ok en enable val value active status vector addr count time code data wstb stb "
-    "ival oval mon monitor"
+    "done cnt count busy req request ack ok en enable val value active status vector addr count time code data wstb "
+    "stb ival oval mon monitor"
 )
+_HOLDS = _ENABLES | _words("ss ssn nss cs csn csb ncs sel select ce load ld")
 _LOW_WORDS = frozenset(("n", "b", "ni", "na", "bar", "l"))
 _IO_WORDS = frozenset(("i", "o", "in", "out"))
 _INTERRUPT = re.compile(r"[a-z0-9]*?(?:irq|interrupt|intr|intrpt|itrpt|introut|irpt)(?:s|n)?\d*")
@@ -78,7 +80,10 @@ def is_clock(port: Port) -> bool:
 @lru_cache(maxsize=1024)
 def says_clock(name: str) -> bool:
     """Whether a name is that of a clock."""
-    return not any(_RESET.fullmatch(word) for word in words(name)[1:]) and _says(name, _CLOCK, _NOT_CLOCK)
+    found = words(name)
+    if any(_RESET.fullmatch(word) for word in found[1:]) or _SETTINGS & {*found}:
+        return False
+    return _says(name, _CLOCK, _NOT_CLOCK)
 
 
 def is_wire(port: Port) -> bool:
@@ -103,9 +108,9 @@ def _says(name: str, pattern: re.Pattern[str], other: frozenset[str]) -> bool:
     return place is not None and not other & set(found[place + 1 :]) and not _ENABLES & set(found)
 
 
-def says_enable(name: str) -> bool:
-    """Whether a name is that of an enable, which may hold registers in reset while it is low."""
-    return any(word in _ENABLES or word.endswith("en") for word in words(name))
+def says_else(name: str) -> bool:
+    """Whether a name is that of an enable, a select or a load, which may hold registers in reset too."""
+    return any(word in _HOLDS or word.endswith("en") for word in words(name))
 
 
 def reset_polarity(name: str) -> Polarity:
@@ -158,7 +163,7 @@ def _says_interrupt(found: Sequence[str], output: bool, line: bool) -> bool | No
         behind = [word for word in inner[places[-1] + 1 :] if len(word) > 1 and not _NUMBERED.fullmatch(word)]
         if _HANDLES & {*inner} or _OF_INTERRUPT & {*behind[:1]}:
             return None
-        return not behind or (places[0] == 0 and behind[-1] not in _OF_INTERRUPT)
+        return not behind or places[0] == 0
     last = inner[-1] if inner else ""
     if line and _INT.fullmatch(last):
         return None if _HANDLES & {*inner} else output or len(inner) == 1 or bool(_CAUSES & {*inner[:-1]})

@@ -17,7 +17,7 @@ from cm.design.hdl.clock_reset_names import (
     is_wire,
     named_low,
     reset_domains,
-    says_enable,
+    says_else,
     says_what,
 )
 from cm.design.hdl.group_ports import Candidate, candidates
@@ -268,7 +268,7 @@ class _Detection:
         for port in self._free.values():
             if not port.name.lower().startswith(f"{stream.name.lower()}_") or not is_reset(port):
                 continue
-            if reset_domains((port.name[len(stream.name) :],), ())[port.name[len(stream.name) :]]:
+            if "meta" in reset_domains((port.name[len(stream.name) :],), ())[port.name[len(stream.name) :]]:
                 self._reasons[port.name] = f"goes with the stream {stream.name}"
 
     def _reject(self, candidate: Candidate, reason: str) -> None:
@@ -306,6 +306,12 @@ class _Detection:
         named = [
             port for port in self._unrejected() if is_reset(port) and not _beside(port.name, "reset rst", "set", every)
         ]
+        for port in self._unrejected():
+            if is_wire(port) and self._use(port.name).asynchronous and port not in named and says_else(port.name):
+                line = f"resets: {{{port.name}: {{polarity: {(self._use(port.name).reset or Polarity.LOW).value}}}}}"
+                self._reasons[port.name] = (
+                    f"resets registers at once, by a name of something else: {line}, if it is one"
+                )
         proven = [port for port in self._unrejected() if self._is_reset(port) and is_wire(port) and port not in named]
         ports = [*named, *proven]
         names, inputs = [port.name for port in ports], [clock.port for clock in clocks if clock.direction is _IN]
@@ -326,12 +332,16 @@ class _Detection:
 
     def _is_reset(self, port: Port) -> bool:
         use = self._use(port.name)
-        return use.asynchronous and not says_enable(port.name)
+        return use.asynchronous and not says_else(port.name)
 
-    def _polarity(self, port: Port, resets: Sequence[str], clocks: Sequence[str]) -> Polarity:
+    def _polarity(self, port: Port, resets: Sequence[str], clocks: Sequence[str]) -> Polarity | None:
         named = Polarity.LOW if named_low(port.name, resets, clocks) else Polarity.HIGH
         stated = vivado_attributes.polarity_of(vivado_attributes.parameters(port))
-        return stated or self._use(port.name).reset or named
+        use = self._use(port.name)
+        generic = {p.name.lower(): str(p.value).strip("'") for p in self._module.parameters if use.constant}
+        level = {"1": Polarity.HIGH, "0": Polarity.LOW}.get(generic.get(use.constant, ""))
+        unknown = use.constant and use.constant not in generic and named is Polarity.HIGH  # no n is in the name
+        return stated or use.reset or level or (None if unknown else named)
 
     def _interrupts(self) -> list[Interrupt]:
         names = {port.name.lower() for port in self._module.ports}

@@ -203,13 +203,14 @@ class PortUse:
     """What the sources do with a port, as far as they were found (`cm.design.hdl.usage`).
 
     `clock`: registers follow its edges; `reset`: the level at which registers get constants, None if none, or both;
-    `clocks`: ports at whose edges it is used.
+    `clocks`: ports at whose edges it is used; `constant`: the one, perhaps a generic, that has its level.
     """
 
     clock: bool = False
     reset: Polarity | None = None
     asynchronous: bool = False
     clocks: tuple[str, ...] = ()
+    constant: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,18 +34,22 @@ _TEST = re.compile(
 _COPY = re.compile(r"\b(?:assign\s+|wire\s+|logic\s+)(\w+)\s*=\s*([!~])?\s*(\w+)\s*;")
 # a member of an interface that is given a port, or that a port is given, as in a flat wrapper
 _MEMBER = re.compile(r"\bassign\s+(\w+)(?:\.\w+)?\s*=\s*(\w+)(?:\.\w+)?\s*;")
+_CHOICE = re.compile(r"\bassign\s+(\w+)\s*=[^;?:]*\?\s*(\w+)\s*:\s*(\w+)\s*;")
 _FIELD = re.compile(r"(?m)^\s*(\w+)(?:\.[\w.]+)?\s*<=\s*(\w+)(?:\.[\w.]+)?\s*;")
 _LEVELS = {"pos": Polarity.HIGH, "neg": Polarity.LOW}
 _WORD = re.compile(r"\w+")
 _VALUE = re.compile(r"<=\s*(?:#\s*\w+\s*)?([^;]+);")
 _VARIABLE = re.compile(r"(?<!['\w.])[a-z]\w*")
 
+# a parameter, by its name, and how often something is repeated
+_CONSTANT = re.compile(r"\w*(?:init|reset|rst|default)\w*|(?<=\{)\s*\w+\s*(?=\{)", re.IGNORECASE)
+
 _PROCESS = re.compile(r"\bprocess\b(.*?)\bend\s+process\b", re.DOTALL)
 _RISING = re.compile(
     r"\b(rising|falling)_edge\s*\(\s*(\w+)\s*\)|\b(\w+)\s*'\s*event\s+and\s+\w+\s*=\s*(?:'([01])'|\w+)"
 )
 _TESTED = re.compile(
-    r"\bif\s*\(?\s*(\w+)\s*=\s*(?:'([01])'|\w+)\s*\)?\s*then(.*?)(?:\belsif\b|\belse\b|\bend\b|\Z)", re.DOTALL
+    r"\bif\s*\(?\s*(\w+)\s*=\s*(?:'([01])'|(\w+))\s*\)?\s*then(.*?)(?:\belsif\b|\belse\b|\bend\b|\Z)", re.DOTALL
 )
 _SAME = re.compile(r"(?m)^\s*(\w+)\s*<=\s*(not\s+)?(\w+)\s*;")
 _MAPPED = re.compile(
@@ -62,10 +66,11 @@ class Body:
     """What one module does itself, by signal: in `steps`, a clock and the words of what happens at its edges."""
 
     steps: tuple[tuple[str, frozenset[str]], ...] = ()
-    # signal, level (None: that of a constant), clock, and whether it is asynchronous
-    resets: tuple[tuple[str, Polarity | None, str, bool], ...] = ()
+    # signal, level or the name of a constant that has it, clock, and whether it is asynchronous
+    resets: tuple[tuple[str, Polarity | str, str, bool], ...] = ()
     copies: tuple[tuple[str, bool, str], ...] = ()  # a signal that is another one, perhaps inverted
     instances: tuple[Pins, ...] = ()
+    choices: tuple[tuple[str, str, str], ...] = ()  # a signal that is one of two others
     members: tuple[tuple[str, str], ...] = ()  # an interface or a record and another signal, in either order
 
 
@@ -88,7 +93,9 @@ def verilog_body(text: str, instances: Iterable[Pins]) -> Body:
             resets += [(name, level, clock, False)] if level else []
     copies = tuple((one, bool(turned), other) for one, turned, other in _COPY.findall(text))
     parts = tuple((c, frozenset(names)) for c, names in steps.items())
-    return Body(parts, tuple(resets), copies, tuple(instances), tuple(_MEMBER.findall(text)))
+    return Body(
+        parts, tuple(resets), copies, tuple(instances), tuple(_CHOICE.findall(text)), tuple(_MEMBER.findall(text))
+    )
 
 
 def _end(text: str, start: int) -> int:
@@ -104,7 +111,7 @@ def _end(text: str, start: int) -> int:
 
 def _level(high: bool, inside: str) -> Polarity | None:
     values = _VALUE.findall(inside)
-    if not values or any(_VARIABLE.search(value) for value in values):
+    if not values or any(_VARIABLE.search(_CONSTANT.sub("0", value)) for value in values):
         return None
     return Polarity.HIGH if high else Polarity.LOW
 
@@ -121,16 +128,16 @@ def vhdl_body(text: str) -> Body:
         steps.append((clock, frozenset(_WORD.findall(process))))
         for match in _TESTED.finditer(process):
             before = match.end() <= edges[0].start()
-            around = match.start(3) <= edges[0].start() < match.end(3)  # what is reset stands behind `else`
-            level = {"1": Polarity.HIGH, "0": Polarity.LOW}.get(match[2])
+            around = match.start(4) <= edges[0].start() < match.end(4)  # what is reset stands behind `else`
+            level = {"1": Polarity.HIGH, "0": Polarity.LOW}.get(match[2] or "")
             if before or (level and _SAYS_RESET.search(match[1])):
-                resets.append((match[1], level and _turned(level, around), clock, before or around))
+                resets.append((match[1], _turned(level, around) if level else match[3], clock, before or around))
     copies = tuple((one, bool(turned), other) for one, turned, other in _SAME.findall(text))
     instances = tuple(
         (unit, {port: (signal, bool(turned)) for port, turned, signal in _PIN.findall(pins)})
         for unit, pins in _MAPPED.findall(text)
     )
-    return Body(tuple(steps), tuple(resets), copies, instances, tuple(_FIELD.findall(text)))
+    return Body(tuple(steps), tuple(resets), copies, instances, (), tuple(_FIELD.findall(text)))
 
 
 class Usage:
@@ -167,6 +174,7 @@ class _Found:
     levels: set[Polarity] = field(default_factory=set)
     asynchronous: bool = False
     clocks: dict[str, None] = field(default_factory=dict)
+    constant: str = ""
 
 
 class _Ports:
@@ -209,6 +217,7 @@ class _Ports:
                 found.levels.copy().pop() if len(found.levels) == 1 else None,
                 found.asynchronous,
                 tuple(clock for clock in found.clocks if clock != port),
+                "" if found.levels else found.constant,
             )
             for port, found in self._found.items()
         }
@@ -218,23 +227,30 @@ class _Ports:
         clocks = tuple(pins.get(clock, (clock, False))[0] for clock in use.clocks if clock in pins or "*" in pins)
         if use.clock:
             self._clock(name)
-        if use.reset is not None:
-            self._reset(name, _turned(use.reset, turned), clocks, use.asynchronous)
+        if use.reset is not None or use.constant:
+            self._reset(name, _turned(use.reset, turned) if use.reset else "", clocks, use.asynchronous)
         else:
             of = {self._origin[name][0]} if name in self._origin else self._members.get(name, set())
             for port, clock in itertools.product(sorted(of), clocks):
                 self._runs(port, clock)
 
     def _clock(self, name: str) -> None:
-        if name in self._origin:
-            self._at(self._origin[name][0]).clock = True
+        """A clock, also one that is chosen from others."""
+        names = {name}
+        for one, first, second in (*self._body.choices, *reversed(self._body.choices)):
+            names |= {first, second} if one in names else set()
+        for known in names & self._origin.keys():
+            self._at(self._origin[known][0]).clock = True
 
-    def _reset(self, name: str, level: Polarity | None, clocks: Iterable[str], asynchronous: bool) -> None:
+    def _reset(self, name: str, level: Polarity | str, clocks: Iterable[str], asynchronous: bool) -> None:
         if name not in self._origin:
             return
         port, turned = self._origin[name]
         found = self._at(port)
-        found.levels |= {_turned(level, turned)} if level else set()
+        if isinstance(level, Polarity):
+            found.levels.add(_turned(level, turned))
+        else:
+            found.constant = level
         found.asynchronous |= asynchronous
         for clock in clocks:
             self._runs(port, clock)

@@ -105,7 +105,7 @@ def test_the_side_of_a_stream_may_be_a_letter(tmp_path: Path) -> None:
     assert ports(tmp_path, text).asked == ("i", "o")
 
 
-@pytest.mark.parametrize("reset", ["In_RstIn", "In_rst_n", "In_rst_ni"])
+@pytest.mark.parametrize("reset", ["In_RstIn", "In_rst_n", "In_rst_ni", "In_link_reset"])
 def test_a_reset_with_the_name_of_a_stream_is_that_of_its_side(reset: str, tmp_path: Path) -> None:
     text = f"input In_Clk; input {reset}; input In_Meta_rst; input [7:0] In_Data; input In_Valid; output In_Ready"
     found = ports(tmp_path, text)

@@ -17,9 +17,9 @@ from cm.design.hdl.model import ModuleInfo, Polarity, PortDirection, Stated
 
 def told(found: ModuleInfo) -> str:
     """Clocks, and resets with their levels and clocks: "clk rst_n-clk"."""
-    signs = {Polarity.LOW: "-", Polarity.HIGH: "+"}
+    signs = {Polarity.LOW: "-", Polarity.HIGH: "+", None: "?"}
     clocks = [clock.port for clock in found.clocks]
-    return " ".join([*clocks, *(f"{r.port}{signs[r.polarity]}{r.clock}" for r in found.resets if r.polarity)])
+    return " ".join([*clocks, *(f"{r.port}{signs[r.polarity]}{r.clock}" for r in found.resets)])
 
 
 # inputs of one bit → clocks and resets of these; whatever is left is a control, and named as left over
@@ -36,7 +36,7 @@ NAMED = [
     ("i_refck outclock pll_lock", "i_refck outclock"),
     ("clock pin_TRST_n_i_ival", "clock"),
     ("clk do_rst reset_na blk_reset_mon", "clk reset_na-clk"),
-    ("clk aClkStopstate", "clk"),
+    ("clk aClkStopstate flash_clk_oeb cfg_clk90", "clk"),
     ("clka clkb rsta rstb", "clka clkb rsta+clka rstb+clkb"),
     ("clk first_bit burst_len gt_prbscntreset qpllreset", "clk qpllreset+clk"),
     ("gt0_qplloutrefclk spi_sclk rxusrclk2", "gt0_qplloutrefclk rxusrclk2"),
@@ -51,9 +51,9 @@ def test_names_say_which_inputs_are_clocks_and_resets(names: str, wanted: str, t
 
 
 INTERRUPTS = {
-    "sure": "irq_uart ext_irq_r:i ext_irq_a intr_tx_req_done_o hart0_timerirq:i irq_n irq_ch1 rx_valid_irq "
+    "sure": "irq_uart ext_irq_r:i ext_irq_a intr_tx_sent_o hart0_timerirq:i irq_n irq_ch1 rx_valid_irq "
     "i_timer_int:i int_i:i IRQ_write irqs:8:i irq_0",
-    "asked": "dsc_irq_late side_irq_support_o irq_lost_event sleep_int:i mtip_o pulse_ipi",
+    "asked": "dsc_irq_late side_irq_support_o sleep_int:i mtip_o pulse_ipi",
     "none": "trace_interrupt_ip interrupt_count_o irq_vector_valid cfg_irq_level cfg_interrupt_msi_sent clk_int_o "
     "blowoff_int+blowoff_ext irq_events take_interrupt:i interrupt_inhibit_o irq_dsbl dat_int0:16 clr_int:8:i int_a:i",
 }
@@ -72,7 +72,8 @@ def test_a_name_is_surely_an_interrupts_or_leaves_a_doubt_or_says_none(kind: str
 
 
 PROCESSES = {
-    "if res = ACTIVE then q <= '0'; elsif clk'event and clk = EDGE then q <= d; end if;": "clk res+clk",
+    "if res = ACTIVE then q <= '0'; elsif clk'event and clk = EDGE then q <= d; end if;": "clk res?clk",
+    "if rst_n = ACTIVE then q <= '0'; elsif rising_edge(clk) then q <= d; end if;": "clk rst_n-clk",
     "if rstn = '1' then if rising_edge(clk) then q <= d; end if; else q <= '0'; end if;": "clk rstn-clk",
     "if rst = '1' then if rising_edge(clk) then q <= d; end if; else q <= '0'; end if;": "clk rst-clk",
     "if load_en = '1' then q <= '0'; elsif rising_edge(clk) then q <= d; end if;": "clk",
@@ -100,10 +101,25 @@ def test_the_build_schema_says_which_ports_are_interrupts(tmp_path: Path) -> Non
     assert ports(tmp_path, text, stated=Stated(interrupts=())).interrupts == ()
 
 
-def test_an_enable_that_holds_registers_is_no_reset(tmp_path: Path) -> None:
-    text = "always @(posedge clk or negedge cfg_en) if (!cfg_en) q <= 0; else q <= q + 1;"
-    found = module(tmp_path, f"module m(input clk, input cfg_en, output reg [7:0] q); {text} endmodule", "m.v")
+@pytest.mark.parametrize("name", ["cfg_en", "chip_sel", "ss"])
+def test_what_resets_registers_by_a_name_of_something_else_is_asked_for(name: str, tmp_path: Path) -> None:
+    text = f"always @(posedge clk or negedge {name}) if (!{name}) q <= 0; else q <= q + 1;"
+    found = module(tmp_path, f"module m(input clk, input {name}, output reg [7:0] q); {text} endmodule", "m.v")
     assert told(found) == "clk"
+    (left,) = (left for left in found.leftovers if left.port == name)
+    assert f"resets: {{{name}: {{polarity: low}}}}" in left.reason
+
+
+def test_a_register_may_be_reset_to_a_parameter(tmp_path: Path) -> None:
+    text = "always @(posedge clk) if (stage1_rst) q <= {width{init_value}}; else q <= d;"
+    head = "module m #(parameter width = 8, init_value = 0)(input clk, rst_n, stage1_rst, d, output reg [7:0] q);"
+    assert "stage1_rst+clk" in told(module(tmp_path, f"{head} {text} endmodule", "m.v"))
+
+
+def test_a_clock_may_be_chosen_from_two_even_if_one_is_sampled_too(tmp_path: Path) -> None:
+    text = "wire c; assign c = sel ? a_clk : b_clk; always @(posedge c) q <= d; always @(posedge b_clk) was <= a_clk;"
+    head = "module m(input a_clk, input b_clk, input sel, input d, output reg q, output reg was);"
+    assert told(module(tmp_path, f"{head} {text} endmodule", "m.v")) == "a_clk b_clk"
 
 
 def test_what_registers_only_sample_is_no_reset_if_its_name_says_what_for(tmp_path: Path) -> None:
