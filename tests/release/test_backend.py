@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import io
 import os
 import subprocess
@@ -15,23 +14,15 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from scripts import script
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
-def load_backend() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("release_backend", ROOT / "release/backend.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.fixture
 def asked(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     """The backend in the tree, without what setuptools itself would do there."""
-    backend = load_backend()
+    backend = script("release/backend.py")
     monkeypatch.setattr(backend.build_meta, "get_requires_for_build_wheel", lambda settings: [])
     monkeypatch.delenv("PROTOC", raising=False)
     return backend
@@ -54,7 +45,7 @@ def test_nothing_is_asked_for_where_there_is_a_protoc(
 
 
 def test_repacked_archives_do_not_reveal_who_packed_them(tmp_path: Path) -> None:
-    backend = load_backend()
+    backend = script("release/backend.py")
     hashes = set()
     for owner, mode, order in ((0, 0o600, "ab"), (1000, 0o664, "ba")):
         archive = tmp_path / f"{owner}.tar.gz"

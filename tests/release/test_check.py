@@ -3,29 +3,20 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from pathlib import Path
 from types import ModuleType
 
 import pytest
+from scripts import script
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
-def load(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(f"release_{name}", ROOT / f"release/{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.fixture
 def check(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     """The checker, looking at a tree of the test's own."""
-    module = load("check")
+    module = script("release/check.py")
     monkeypatch.setattr(module, "ROOT", tmp_path)
     for name, text in (
         ("cm/_version.py", '__version__ = "1.2.3"\n'),
@@ -69,7 +60,7 @@ def test_links_to_what_is_not_there_are_found(check: ModuleType, tmp_path: Path)
 
 
 def test_the_documentation_of_this_tree_has_no_broken_link() -> None:
-    module = load("check")
+    module = script("release/check.py")
     assert list(module.broken_links(module.documents())) == []
 
 
@@ -83,12 +74,12 @@ def test_pages_that_no_link_leads_to_are_found(check: ModuleType, tmp_path: Path
 
 
 def test_every_page_of_this_tree_is_linked_from_the_readme() -> None:
-    module = load("check")
+    module = script("release/check.py")
     assert list(module.unreachable(module.documents())) == []
 
 
 def test_versions_in_this_tree_are_one() -> None:
-    module = load("check")
+    module = script("release/check.py")
     assert list(module.wrong_versions(module.version())) == []
 
 
@@ -97,7 +88,7 @@ def test_the_bill_of_materials_is_valid_cyclonedx_and_names_what_is_declared(tmp
     from cyclonedx.schema import SchemaVersion
 
     (tmp_path / "fpga_cm-1.whl").write_bytes(b"")
-    bill = load("sbom").bill("1.2.3", [tmp_path / "fpga_cm-1.whl"])
+    bill = script("release/sbom.py").bill("1.2.3", [tmp_path / "fpga_cm-1.whl"])
     assert validation.JsonStrictValidator(SchemaVersion.V1_6).validate_str(json.dumps(bill)) is None
     names = {part["name"] for part in bill["components"]}
     assert names == {"cffi", "fastjsonschema", "numpy", "protobuf", "pyyaml", "pyzmq"}

@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import pkgutil
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+
+from scripts import script
 
 import cm
 from cm.errors import CmError
@@ -18,15 +18,6 @@ from cm.manager.state.steps import Step
 ROOT = Path(__file__).parents[3]
 PAGE = ROOT / "docs" / "reconfiguration.md"
 PACKAGES = ("errors", "manager", "device", "formats.bitstream", "server", "client", "schema", "wire")
-
-
-def maker() -> Any:
-    spec = importlib.util.spec_from_file_location("tables", ROOT / "docs" / "reconfiguration_tables.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def documented() -> list[str]:
@@ -59,7 +50,7 @@ def kinds(base: type[CmError]) -> Iterator[type[CmError]]:
 
 def test_the_diagram_is_that_of_the_state_table() -> None:
     text = PAGE.read_text(encoding="utf-8")
-    assert maker().page(text) == text, "run: python docs/reconfiguration_tables.py"
+    assert script("docs/reconfiguration_tables.py").page(text) == text, "run: python docs/reconfiguration_tables.py"
     assert "stateDiagram-v2" in text
 
 

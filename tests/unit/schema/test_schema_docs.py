@@ -3,12 +3,11 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
 from pathlib import Path
-from typing import Any
 
 import pytest
+from scripts import script
 from test_schema_errors import CASES, MODE_CASES
 
 import cm.schema
@@ -17,22 +16,15 @@ ROOT = Path(__file__).parents[3]
 PAGE = ROOT / "docs" / "schema.md"
 
 
-def maker() -> Any:
-    spec = importlib.util.spec_from_file_location("schema_tables", ROOT / "docs" / "schema_tables.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.mark.parametrize("page", ["schema-keys.md", "build-keys.md"])
 def test_the_tables_of_keys_are_those_of_the_json_schema(page: str) -> None:
-    assert maker().page(page) == (ROOT / "docs" / page).read_text(), "run: python docs/schema_tables.py"
+    assert script("docs/schema_tables.py").page(page) == (ROOT / "docs" / page).read_text(), (
+        "run: python docs/schema_tables.py"
+    )
 
 
 def test_every_definition_has_a_table() -> None:
-    sections = maker().SECTIONS["schema-keys.md"][1]
+    sections = script("docs/schema_tables.py").SECTIONS["schema-keys.md"][1]
     definitions = {f"definitions/{name}" for name in cm.schema.json_schema()["definitions"]}
     assert definitions - {*sections.values()} == {"definitions/name", "definitions/stream_override"}
 
