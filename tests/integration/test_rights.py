@@ -27,18 +27,38 @@ needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to be sev
 GROUP, ALICE, BOB, CARL, DORA, ERIN, MALLORY, FRED, GINA, HUGO = range(47110, 47120)
 
 
-PLAY = """
-import hashlib, json, os, queue, sys
+# What was imported before may lie in a folder that this user cannot read.
+USER = """
+import encodings.idna, hashlib, json, os, queue, socket, sys
 import cm, cm.aio, cm.client.board, cm.client.data_connection, cm.client.stream, cm.client.aio.stream
-import cm.client.register_window
-import encodings.idna, hashlib, numpy.linalg
+import cm.client.register_window, numpy.linalg
+from cm.client.core.calls import Call
+from cm.client.errors import WindowRevoked
 from cm.errors import CmError
+from cm.wire import plane_packets as p
+from cm.wire.messages import requests as rq
 
-uid, groups, runtime, *acts = json.loads(sys.argv[1])
-os.setgroups(groups)  # what was imported may lie in a folder that this user cannot read
-os.setgid(uid)
-os.setuid(uid)
+uid, groups, runtime, *more = json.loads(sys.argv[1])
+os.setgroups(groups); os.setgid(uid); os.setuid(uid)
+"""
 
+
+def as_user(
+    script: str, manager: Manager, uid: int, *more: str, groups: tuple[int, ...] = (GROUP,)
+) -> subprocess.Popen[str]:
+    """A program that a user with these groups runs; what it prints can be read."""
+    command = [sys.executable, "-c", USER + script, json.dumps([uid, groups, str(manager.runtime), *more])]
+    return subprocess.Popen(command, env=environment(), stdout=subprocess.PIPE, text=True, cwd=REPOSITORY)
+
+
+def ended(program: subprocess.Popen[str]) -> str:
+    """What it has printed, when it has ended well."""
+    said, _ = program.communicate(timeout=60)
+    assert program.returncode == 0
+    return said
+
+
+PLAY = """
 def tried(act):
     try:
         return str(act())
@@ -50,7 +70,7 @@ def write(name, value):
 
 try:
     with cm.connect(runtime_dir=runtime, timeout=60) as board:
-        result = {act: tried(eval("lambda: " + act)) for act in acts}
+        result = {act: tried(eval("lambda: " + act)) for act in more}
 except (CmError, OSError) as error:
     result = {"connect": f"{type(error).__name__}: {getattr(error, 'code', '')}: {error}"}
 print(json.dumps(result))
@@ -59,12 +79,7 @@ print(json.dumps(result))
 
 def outcome(manager: Manager, uid: int, *acts: str, groups: tuple[int, ...] = (GROUP,)) -> dict[str, str]:
     """The outcome of a user's actions, with these groups; or of its attempt to connect."""
-    command = [sys.executable, "-c", PLAY, json.dumps([uid, groups, str(manager.runtime), *acts])]
-    done = subprocess.run(
-        command, env=environment(), capture_output=True, text=True, timeout=60, check=False, cwd=REPOSITORY
-    )
-    assert done.returncode == 0, done.stderr
-    found: dict[str, str] = json.loads(done.stdout)
+    found: dict[str, str] = json.loads(ended(as_user(PLAY, manager, uid, *acts, groups=groups)))
     return found
 
 
@@ -125,12 +140,6 @@ def test_a_user_outside_the_group_learns_the_reason_at_once(manager: Manager) ->
 
 
 HOLD = """
-import json, os, sys, time
-import cm, cm.client.board, cm.client.data_connection, cm.client.stream, numpy.linalg, encodings.idna, hashlib
-from cm.errors import CmError
-
-uid, gid, runtime = json.loads(sys.argv[1])
-os.setgroups([gid]); os.setgid(uid); os.setuid(uid)
 board = cm.connect(runtime_dir=runtime, timeout=60)
 frames = iter(board.stream("camera", timeout=60))
 events = board.watch(timeout=60)
@@ -158,10 +167,12 @@ os._exit(0)
 @needs_root
 def test_a_user_whose_role_is_taken_away_loses_streams_subscriptions_and_requests(manager: Manager) -> None:
     """Others notice nothing."""
-    command = [sys.executable, "-c", HOLD, json.dumps([ERIN, GROUP, str(manager.runtime)])]
     settings = manager.runtime.parent / "cm.yaml"
-    held = subprocess.Popen(command, env=environment(), stdout=subprocess.PIPE, text=True, cwd=REPOSITORY)
-    with held, manager.connected() as board, board.stream("camera", timeout=60) as stream:
+    with (
+        as_user(HOLD, manager, ERIN) as held,
+        manager.connected() as board,
+        board.stream("camera", timeout=60) as stream,
+    ):
         assert held.stdout is not None
         assert held.stdout.readline() == "ready\n"
         next(iter(stream))
@@ -189,12 +200,6 @@ config:
 """
 
 LOOK = """
-import json, os, sys
-import cm, cm.client.board, cm.client.data_connection, cm.client.stream, numpy.linalg, encodings.idna, hashlib
-from cm.errors import CmError
-
-uid, gid, runtime = json.loads(sys.argv[1])
-os.setgroups([gid]); os.setgid(uid); os.setuid(uid)
 board = cm.connect(runtime_dir=runtime, timeout=60)
 for _ in range(2):
     try:
@@ -228,11 +233,7 @@ def test_who_may_read_in_one_region_does_not_follow_a_stream_into_another() -> N
             try:
                 with manager.connected() as board:
                     board.load("moving", "near")
-                    command = [sys.executable, "-c", LOOK, json.dumps([ALICE, GROUP, str(manager.runtime)])]
-                    looks = subprocess.Popen(
-                        command, env=environment(), stdout=subprocess.PIPE, text=True, cwd=REPOSITORY
-                    )
-                    with looks, board.stream("camera", timeout=60) as stream:
+                    with as_user(LOOK, manager, ALICE) as looks, board.stream("camera", timeout=60) as stream:
                         assert looks.stdout is not None
                         assert looks.stdout.readline() == "ready\n"
                         board.load("moving", "near")
@@ -248,12 +249,6 @@ def test_who_may_read_in_one_region_does_not_follow_a_stream_into_another() -> N
 
 
 MAP = """
-import json, os, sys
-import cm, cm.client.board, cm.client.register_window
-from cm.client.errors import WindowRevoked
-
-uid, gid, runtime = json.loads(sys.argv[1])
-os.setgroups([gid]); os.setgid(uid); os.setuid(uid)
 window = cm.connect(runtime_dir=runtime, timeout=60).registers.window("prr0")
 print(hex(window.ident), flush=True)
 try:
@@ -274,8 +269,7 @@ def test_registers_are_mapped_by_the_role_for_it_and_for_as_long_as_it_is_held(m
     assert "takes the role map" in told
     assert outcome(manager, CARL, act) == {act: "prr0"}
     settings = manager.runtime.parent / "cm.yaml"
-    command = [sys.executable, "-c", MAP, json.dumps([FRED, GROUP, str(manager.runtime)])]
-    with subprocess.Popen(command, env=environment(), stdout=subprocess.PIPE, text=True, cwd=REPOSITORY) as held:
+    with as_user(MAP, manager, FRED) as held:
         assert held.stdout is not None
         assert held.stdout.readline() == "0xca3e0001\n"
         settings.write_text(settings.read_text().replace("[map]", "[operate]"))
@@ -286,11 +280,6 @@ def test_registers_are_mapped_by_the_role_for_it_and_for_as_long_as_it_is_held(m
 
 # Reads over a connection of its own: what it is told first, and for as long as it is answered.
 READ = """
-import json, os, socket, sys
-from cm.wire import plane_packets as p
-
-uid, gid, runtime = json.loads(sys.argv[1])
-os.setgroups([gid]); os.setgid(uid); os.setuid(uid)
 connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
 connection.connect(runtime + "/data")
 connection.send(p.encode_open(p.Open("", p.Purpose.REGISTERS)))
@@ -310,8 +299,7 @@ print("over", flush=True)
 @needs_root
 def test_registers_are_read_by_name_by_who_may_observe_all_and_for_as_long_as_that_is_so(manager: Manager) -> None:
     settings = manager.runtime.parent / "cm.yaml"
-    command = [sys.executable, "-c", READ, json.dumps([GINA, GROUP, str(manager.runtime)])]
-    with subprocess.Popen(command, env=environment(), stdout=subprocess.PIPE, text=True, cwd=REPOSITORY) as held:
+    with as_user(READ, manager, GINA) as held:
         assert held.stdout is not None
         assert held.stdout.readline() == f"{packets.REGISTERS}\n"
         settings.write_text(settings.read_text().replace("[observe]", "[]"))
@@ -321,9 +309,7 @@ def test_registers_are_read_by_name_by_who_may_observe_all_and_for_as_long_as_th
 @pytest.mark.programs
 @needs_root
 def test_who_may_read_some_registers_reads_these_by_requests(manager: Manager) -> None:
-    command = [sys.executable, "-c", READ, json.dumps([HUGO, GROUP, str(manager.runtime)])]
-    done = subprocess.run(command, env=environment(), capture_output=True, text=True, cwd=REPOSITORY, check=True)
-    assert done.stdout == f"{packets.REFUSED}\nover\n"
+    assert ended(as_user(READ, manager, HUGO)) == f"{packets.REFUSED}\nover\n"
     many = "{board.registers['led'] for _ in range(50)}"
     told = outcome(manager, HUGO, many, "board.registers['focus']")
     assert told[many] == "{0}"
@@ -420,15 +406,6 @@ def test_what_the_manager_writes_is_its_own_but_for_what_clients_read_whatever_t
 
 # Each request over ZeroMQ, as itself or for a guest, and each purpose over the data socket: whether it is refused.
 TRY = """
-import json, os, socket, sys
-import cm, cm.client.board
-from cm.client.core.calls import Call
-from cm.errors import CmError
-from cm.wire import plane_packets as p
-from cm.wire.messages import requests as rq
-
-uid, gid, runtime, guests = json.loads(sys.argv[1])
-os.setgroups([gid]); os.setgid(uid); os.setuid(uid)
 P = p.Purpose
 REQUESTS = [
     rq.ReadStatus(), rq.ReadConfig("camera"), rq.ListConfigs(), rq.PlanChange("camera", mode="default"),
@@ -439,8 +416,9 @@ REQUESTS = [
     rq.TakeLease("region:none"), rq.RenewLease("none"), rq.ReleaseLease("none"), rq.BreakLease(99),
 ]
 OPENS = [
-    p.Open("camera"), p.Open("to_pl", P.WRITE), p.Open("to_pl", P.TRANSFER), p.Open("", P.ECHO, length=4096), p.Open("", P.ALLOCATE, length=4096),
-    p.Open("static", P.WINDOW), p.Open("static", P.WRITABLE_WINDOW), p.Open("", P.REGISTERS),
+    p.Open("camera"), p.Open("to_pl", P.WRITE), p.Open("to_pl", P.TRANSFER), p.Open("", P.ECHO, length=4096),
+    p.Open("", P.ALLOCATE, length=4096), p.Open("static", P.WINDOW), p.Open("static", P.WRITABLE_WINDOW),
+    p.Open("", P.REGISTERS),
 ]
 
 def code(reply):
@@ -464,17 +442,14 @@ def opened(wanted):
             os.close(fd)
         return packet[2] == p.REFUSED and p.decode_refused(packet)[0] == "forbidden"
 
-said = {guest: asked(guest) for guest in guests or [""]}
-print(json.dumps([said, {} if guests else {wanted.purpose.name: opened(wanted) for wanted in OPENS}]))
+said = {guest: asked(guest) for guest in more or [""]}
+print(json.dumps([said, {} if more else {wanted.purpose.name: opened(wanted) for wanted in OPENS}]))
 """
 FIRST = 47130  # user of the lowest role
 
 
 def tried(manager: Manager, uid: int, *guests: str) -> Any:
-    command = [sys.executable, "-c", TRY, json.dumps([uid, GROUP, str(manager.runtime), guests])]
-    done = subprocess.run(command, env=environment(), capture_output=True, text=True, cwd=REPOSITORY, check=False)
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
+    return json.loads(ended(as_user(TRY, manager, uid, *guests)))
 
 
 @pytest.mark.programs
