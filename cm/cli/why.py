@@ -20,8 +20,8 @@ def fill_parser(parser: argparse.ArgumentParser) -> None:
     """Describe the command."""
     parser.description = (
         "Say why the board is as it is: who asked for what it holds and when, how long that took, what failed, who "
-        "wrote a register. What was not recorded is \"not known\". With a record of `cm record`, say this of its end, or of "
-        "a time within it."
+        "wrote a register. What was not recorded is 'not known'. With a record of `cm record`, say this of its end, "
+        "or of a time within it."
     )
     subject = parser.add_argument(
         "subject",
