@@ -145,9 +145,6 @@ class Files(Protocol):
         Raises BadOverlay where the firmware it names has not the content of `image`.
         """
 
-    def forget(self, config: str) -> None:
-        """This configuration was replaced: what was learned from its files is no longer so."""
-
 
 class DataPlane(Protocol):
     """The streams, as far as a change has to stop and start them."""

@@ -279,7 +279,6 @@ class Manager:
         beside that is not offered under this schema.
         """
         self.check_replaceable(config.name)
-        self._env.files.forget(config.name)
         self._state.add_config(config)
         if self.state.config == config.name:
             self._under_schema(config, images)
@@ -301,7 +300,6 @@ class Manager:
         """Make a configuration unknown. Raises ChangeBusy while it is in use."""
         if self.in_use(name):
             raise ChangeBusy(f"configuration {name!r} is in use")
-        self._env.files.forget(name)
         self._state.forget_config(name)
         self.reporter.changed()
 

@@ -4,27 +4,21 @@
 The kernel opens bitstreams itself, by name, after they were checked here. So we search where the kernel does
 (drivers/base/firmware_loader/main.c: `fw_path`), and give it only our own copies, each named by the hash of what was
 validated, and compared before and after. Overlays are checked for what they would make the kernel load.
-
-A learned footprint is valid only as long as the bitstream it was learned from: if that module's file has changed (a
-new build, another floorplan), it is learned again.
 """
 
 from __future__ import annotations
 
 import contextlib
-import json
-import logging
 import os
 import re
 import threading
-import zlib
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from cm.device import Root
 from cm.device.overlays import FOLDER as OVERLAY_FOLDER
-from cm.errors import CmError, InvalidRequest, sentence
+from cm.errors import CmError, InvalidRequest
 from cm.formats import fdt
 from cm.formats.bitstream import (
     Container,
@@ -528,110 +522,7 @@ def _check_flags(what: str, load: FirmwareLoad, image: Image) -> None:
         )
 
 
-_LOG = logging.getLogger("cm")
-_VERSION = 1
-
 Frames = tuple[FrameRange, ...]
-_Key = tuple[str, str]  # configuration, region
-
-
-@dataclass(frozen=True, slots=True)
-class LearnedFootprint:
-    """A region's frames, and the module and bitstream that showed them."""
-
-    module: str
-    sha256: str
-    frames: Frames
-
-
-class Footprints:
-    """Learned footprints by configuration and region; in a file of their own, if a path is given. Any thread."""
-
-    def __init__(self, path: Path | None = None) -> None:
-        self._path = path
-        self._lock = threading.Lock()
-        self._learned: dict[_Key, LearnedFootprint] = dict(_read_learned(path)) if path is not None else {}
-        self._untested = set(self._learned)  # of an earlier run
-
-    def of(self, config: Config, region: str, sha256_of: Callable[[str], str | None]) -> Frames:
-        """What was learned about a region; empty if nothing was.
-
-        `sha256_of` returns the present hash of a module's bitstream, None if it has none.
-        """
-        key = (config.name, region)
-        learned = self._learned.get(key)
-        if learned is None:
-            return ()
-        if key in self._untested:
-            module = config.modules.get(learned.module)
-            if module is None or module.region != region or sha256_of(module.name) != learned.sha256:
-                self._drop([key])
-                return ()
-            self._untested.discard(key)
-        return learned.frames
-
-    def learn(self, config: str, region: str, learned: LearnedFootprint) -> None:
-        """Keep the first footprint learned of a region."""
-        with self._lock:
-            if (config, region) not in self._learned:
-                self._learned = {**self._learned, (config, region): learned}
-                self._save()
-
-    def forget(self, config: str) -> None:
-        """The configuration was replaced: its regions may lie elsewhere now."""
-        self._drop([key for key in self._learned if key[0] == config])
-
-    def _drop(self, keys: list[_Key]) -> None:
-        with self._lock:
-            if keys:
-                self._learned = {key: learned for key, learned in self._learned.items() if key not in keys}
-                self._untested.difference_update(keys)
-                self._save()
-
-    def _save(self) -> None:
-        """Save to the file; what cannot be written is learned again after a restart."""
-        if self._path is None:
-            return
-        try:
-            new = self._path.with_suffix(".new")
-            write(new, _encode(self._learned))
-            new.replace(self._path)
-        except OSError as error:
-            _LOG.warning("learned footprints could not be written: %s", sentence(error))
-
-
-def _encode(learned: Mapping[_Key, LearnedFootprint]) -> bytes:
-    def row(f: FrameRange) -> list[int]:
-        return [f.block_type, f.row, f.column_first, f.column_last]
-
-    rows = [[*key, x.module, x.sha256, [row(f) for f in x.frames]] for key, x in learned.items()]
-    body = json.dumps({"version": _VERSION, "regions": rows})
-    return f"{zlib.crc32(body.encode()):08x} {body}\n".encode()
-
-
-def _read_learned(path: Path) -> Mapping[_Key, LearnedFootprint]:
-    """The content of the file; nothing if it is missing, damaged or of another version."""
-    try:
-        return _decode(path.read_bytes())
-    except FileNotFoundError:
-        return {}
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        _LOG.warning("learned footprints in %s are not used (%s); they are learned again", path, error)
-        return {}
-
-
-def _decode(data: bytes) -> Mapping[_Key, LearnedFootprint]:
-    crc, _, body = data.strip().partition(b" ")
-    if int(crc, 16) != zlib.crc32(body):
-        raise ValueError("wrong CRC")
-    plain: dict[str, Any] = json.loads(body)
-    if plain["version"] != _VERSION:
-        raise ValueError(f"version {plain['version']}")
-    return {
-        (c, r): LearnedFootprint(m, h, tuple(FrameRange(*map(int, f)) for f in fs))
-        for c, r, m, h, fs in plain["regions"]
-    }
-
 
 _KEYS = {"footprint_outside": "region's key footprint", "encrypted": "region's key allow_encrypted"}
 
@@ -651,12 +542,11 @@ def _of_module(path: Path, config: Config, module: Module) -> Iterator[None]:
 class BoardFiles:
     """`cm.manager.interfaces.Files` over the file system below a root."""
 
-    def __init__(self, root: Path, footprints: Footprints | None = None, copies: Path | None = None) -> None:
+    def __init__(self, root: Path, copies: Path | None = None) -> None:
         """`copies`: the folder for files converted for the kernel, see `FirmwareFolder`."""
         self._root = root
         self._reader = BitstreamReader()
         self._firmware = FirmwareFolder(root, self._reader, copies)
-        self._footprints = footprints or Footprints()
         self._frames: dict[str, LoadedFrames] = {}  # by the image's hash
         overlays = OverlayFiles(root, self._reader, self._firmware)
         self.firmware_name, self.check_firmware = self._firmware.name_of, self._firmware.check
@@ -668,27 +558,23 @@ class BoardFiles:
         """Find and validate a module's bitstream.
 
         Raises FileMissing and the refusals of `cm.formats.bitstream`. The footprint allowed is the schema's, or
-        that of the first good module of the region.
+        that of the first good module of the region, as the schema lists them.
         """
         region = config.regions[module.region]
-        learned = () if region.footprint else self._learned(config, region)
-        expect = expect_module(config, module, learned)
+        expect = expect_module(config, module, () if region.footprint else self._shown(config, region))
         path = bitstream_path(config, module, self._root)
         with _of_module(path, config, module):
-            report = self._reader.validated(path, expect)
-        if not (region.footprint or learned):
-            shown = LearnedFootprint(module.name, report.sha256, footprint_of(report))
-            self._footprints.learn(config.name, region.name, shown)
-        return image_of(path, report)
+            return image_of(path, self._reader.validated(path, expect))
 
-    def _learned(self, config: Config, region: Region) -> Frames:
-        def sha256_of(module: str) -> str | None:
-            try:
-                return self._reader.inspect(bitstream_path(config, module, self._root)).sha256
-            except (CmError, OSError):
-                return None
-
-        return self._footprints.of(config, region.name, sha256_of)
+    def _shown(self, config: Config, region: Region) -> Frames:
+        """What the region's modules show it to own; empty if none of their bitstreams is good."""
+        for module in config.modules.values():
+            if module.region == region.name:
+                with contextlib.suppress(CmError, OSError):
+                    path = bitstream_path(config, module, self._root)
+                    if frames := footprint_of(self._reader.validated(path, expect_module(config, module))):
+                        return frames
+        return ()
 
     def static_image(self, config: Config) -> Image:
         """Find and validate the image of a full configuration."""
@@ -726,10 +612,6 @@ class BoardFiles:
         while len(self._frames) > _FRAMES_KEPT:
             self._frames.pop(next(iter(self._frames)))
         return found
-
-    def forget(self, config: str) -> None:
-        """This configuration was replaced: its footprints are learned anew."""
-        self._footprints.forget(config)
 
     # ---- what the kernel is given ---------------------------------------------------
 

@@ -17,7 +17,7 @@ from cm.manager.manager import Environment, Manager
 from cm.manager.state.journal import Journal
 from cm.schema.model import Config
 from cm.server.audit_events import AuditEvents
-from cm.server.bitstream_and_overlay_files import BoardFiles, Footprints
+from cm.server.bitstream_and_overlay_files import BoardFiles
 from cm.server.board_watch import BoardWatch
 from cm.server.client_quotas import Clients
 from cm.server.connections import Connections, raise_descriptors
@@ -128,7 +128,7 @@ class Server:
 
     def _environment(self) -> Environment:
         o = self._options
-        files = BoardFiles(o.root.join(), Footprints(o.state_dir / "footprints"), o.firmware_dir)
+        files = BoardFiles(o.root.join(), o.firmware_dir)
         return Environment(self._devices, files, self._journal, self._streams, time, self._status, o.settings)
 
     def _make_reloader(self) -> Reloader:

@@ -366,7 +366,6 @@ MODES = {
     "state/configs/mine": 0o700,
     "state/configs/mine/.owner": 0o600,
     "state/configs/mine/schema.yaml": 0o600,
-    "state/footprints": 0o600,
     "state/journal": 0o600,
     "state/journal.new": 0o600,
 }
@@ -374,7 +373,6 @@ MODES = {
 
 @pytest.mark.parametrize("umask", [0o000, 0o007])
 def test_what_the_manager_writes_is_its_own_but_for_what_clients_read_whatever_the_umask(umask: int) -> None:
-    """Learned footprints, which say what a load may touch, were writable by the group."""
     with short_folder() as folder, SimBoard([CAMERA], root=folder / "board") as sim:
         settings = folder / "cm.yaml"
         settings.write_text(f"state_dir: {folder}/state\naccess: {{group: '{os.getegid()}'}}\n")

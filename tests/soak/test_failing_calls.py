@@ -151,7 +151,7 @@ def session(sim: SimBoard, tmp_path: Path) -> Iterator[Session]:
                 made.send(board, name, 1)
         assert manager.stop() == 0
         shutil.rmtree(folder / "state/journal", ignore_errors=True)
-        for name in ("journal", "journal.new", "footprints"):
+        for name in ("journal", "journal.new"):
             (folder / "state" / name).unlink(missing_ok=True)
         shutil.copytree(folder / "state", folder / "template")
         yield made

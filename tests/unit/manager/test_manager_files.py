@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is loaded is what was validated, whatever happens to the files meanwhile; and learning footprints from them."""
+"""What is loaded is what was validated, whatever happens to the files meanwhile; and their footprints."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import hashlib
 import os
 import re
 import threading
-import zlib
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -26,8 +25,8 @@ from cm.formats.bitstream.errors import BadContainer, FootprintOutside, Sha256Mi
 from cm.manager.errors import BadOverlay
 from cm.manager.inputs import Image
 from cm.schema import loads
-from cm.schema.model import Config, FrameRange, LoaderKind, Overlay
-from cm.server.bitstream_and_overlay_files import MAX_BYTES, BoardFiles, Footprints, LearnedFootprint
+from cm.schema.model import Config, LoaderKind, Overlay
+from cm.server.bitstream_and_overlay_files import MAX_BYTES, BoardFiles
 from cm.server.private_folders import UnsafeFolder
 from cm.simulation.software import Board as SimBoard
 from cm.simulation.software.hardware.board_spec import BoardSpec
@@ -55,7 +54,7 @@ def duo(tmp_path: Path) -> Config:
 
 
 def opened(tmp_path: Path) -> BoardFiles:
-    return BoardFiles(tmp_path / "root", Footprints(tmp_path / "state" / "footprints"))
+    return BoardFiles(tmp_path / "root")
 
 
 def image(files: BoardFiles, config: Config, name: str) -> Image:
@@ -67,106 +66,15 @@ def put(config: Config, name: str, data: bytes) -> None:
     (config.source.parent / f"{name}.bit").write_bytes(data)
 
 
-def test_what_was_learned_of_a_region_is_known_after_a_restart(duo: Config, tmp_path: Path) -> None:
-    image(opened(tmp_path), duo, "a0")
+def test_a_region_without_a_footprint_has_that_of_its_first_good_module(duo: Config, tmp_path: Path) -> None:
     put(duo, "b0", module("b0", 1))  # made for the other region
     with pytest.raises(FootprintOutside):
         image(opened(tmp_path), duo, "b0")
-    assert image(BoardFiles(tmp_path / "root"), duo, "b0")  # with nothing known, it is the first
-
-
-def test_a_new_build_of_the_module_that_taught_is_learned_from_anew(duo: Config, tmp_path: Path) -> None:
-    image(opened(tmp_path), duo, "a0")
-    put(duo, "a0", module("a0", 1))  # another floorplan
-    put(duo, "b0", module("b0", 1))
-    again = opened(tmp_path)
-    assert image(again, duo, "b0")
-    assert image(again, duo, "a0")
-    third = opened(tmp_path)
-    put(duo, "b0", module("b0", 0))
-    assert image(third, duo, "b0")  # the footprint was learned from it
-
-
-def test_a_configuration_that_was_replaced_is_forgotten_for_good(duo: Config, tmp_path: Path) -> None:
-    first = opened(tmp_path)
-    image(first, duo, "a0")
-    image(first, duo, "a1")
-    first.forget("another")
-    first.forget("duo")
-    put(duo, "b0", module("b0", 1))
-    assert image(opened(tmp_path), duo, "b0")
-
-
-def test_a_module_that_left_the_schema_teaches_nothing(duo: Config, tmp_path: Path) -> None:
-    image(opened(tmp_path), duo, "a0")
-    put(duo, "b0", module("b0", 1))
-    without = replace(duo, modules={n: m for n, m in duo.modules.items() if n != "a0"})
-    assert image(opened(tmp_path), without, "b0")
-
-
-FOOTPRINT = LearnedFootprint("a0", "ab", (FrameRange(0, 1, 2, 3), FrameRange(1, 1, 2, 2)))
-
-
-def learned(path: Path, config: Config) -> tuple[FrameRange, ...]:
-    return Footprints(path).of(config, "prr0", lambda _: "ab")
-
-
-def test_a_file_damaged_anywhere_counts_as_unknown(duo: Config, tmp_path: Path) -> None:
-    path = tmp_path / "footprints"
-    Footprints(path).learn("duo", "prr0", FOOTPRINT)
-    assert learned(path, duo) == FOOTPRINT.frames
-    whole = path.read_bytes()
-    for length in range(len(whole) - 1):
-        path.write_bytes(whole[:length])
-        assert learned(path, duo) == ()
-    for at in range(len(whole) - 1):
-        path.write_bytes(whole[:at] + bytes([whole[at] ^ 2]) + whole[at + 1 :])
-        assert learned(path, duo) in ((), FOOTPRINT.frames)  # a digit of the CRC may be in the other case
-    Footprints(path).learn("duo", "prr0", FOOTPRINT)
-    assert learned(path, duo) == FOOTPRINT.frames
-
-
-@pytest.mark.parametrize(
-    "body", [b'{"version": 99, "regions": []}', b"[]", b"null", b'{"version": 1, "regions": [[1]]}']
-)
-def test_a_file_of_another_version_counts_as_unknown(
-    duo: Config, tmp_path: Path, body: bytes, caplog: pytest.LogCaptureFixture
-) -> None:
-    path = tmp_path / "footprints"
-    path.write_bytes(b"%08x %b\n" % (zlib.crc32(body), body))
-    assert learned(path, duo) == ()
-    assert ("are not used (version 99)" in caplog.text) == (b"99" in body)
-
-
-def test_a_kill_while_it_is_written_leaves_the_old_one(
-    duo: Config, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    class Killed(BaseException):
-        pass
-
-    def dies(_: int) -> None:
-        raise Killed
-
-    path = tmp_path / "footprints"
-    Footprints(path).learn("duo", "prr0", FOOTPRINT)
-    with monkeypatch.context() as patch:
-        patch.setattr(os, "fsync", dies)
-        with pytest.raises(Killed):
-            Footprints(path).forget("duo")
-    assert learned(path, duo) == FOOTPRINT.frames
-
-
-def test_if_the_file_cannot_be_written_a_footprint_is_known_until_the_manager_ends(
-    duo: Config, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    (tmp_path / "state").rmdir()
-    (tmp_path / "state").write_text("no folder", encoding="ascii")
     files = opened(tmp_path)
     image(files, duo, "a0")
-    unread, unwritten = caplog.messages
-    assert unread.startswith(f"learned footprints in {tmp_path}/state/footprints are not used ([Errno 20]")
-    assert unwritten == f"learned footprints could not be written: {tmp_path}/state/footprints.new: Not a directory"
-    put(duo, "b0", module("b0", 1))
+    put(duo, "a0", b"no bitstream")
+    assert image(files, duo, "b0")
+    put(duo, "a0", module("a0", 0))
     with pytest.raises(FootprintOutside):
         image(files, duo, "b0")
 
