@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from typing import Any, TypeVar
 
 from cm.errors import Busy
@@ -114,29 +115,10 @@ class FileThread:
             return
         _, (work, then) = self._waiting.take()
         self._runs = True
-        self.thread.submit(self._run, work, then)
+        ended = partial(self._ended, then)
+        self.thread.submit(work).add_done_callback(lambda done: self._loop.call_threadsafe(partial(ended, done)))
 
-    def _run(self, work: Callable[[], Any], then: Callable[[Result[Any]], None]) -> None:
-        result = _outcome(work)
-
-        def ended() -> None:
-            self._runs = False
-            self._run_next()
-            then(result)
-
-        self._loop.call_threadsafe(ended)
-
-
-def _outcome(work: Callable[[], Any]) -> Result[Any]:
-    try:
-        done = work()
-    except Exception as error:  # noqa: BLE001 (raised again in the loop's thread)
-        return _raising(error)
-    return lambda: done
-
-
-def _raising(error: Exception) -> Result[Any]:
-    def again() -> Any:
-        raise error
-
-    return again
+    def _ended(self, then: Callable[[Result[Any]], None], done: Future[Any]) -> None:
+        self._runs = False
+        self._run_next()
+        then(done.result)

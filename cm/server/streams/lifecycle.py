@@ -27,66 +27,23 @@ class StreamStopped(Busy):
 _P, _E, _NOTHING = StreamPhase, StreamEvent, MappingProxyType[str, str | None]({})
 
 
-class StreamOverrides:
-    """Clients' settings last until the mode changes; whether a stream is enabled, until another configuration loads."""
-
-    def __init__(self) -> None:
-        self._set: dict[str, tuple[Stream, Stream]] = {}  # as the schema has it, and as it was set
-        self._runs: dict[str, bool] = {}
-
-    def take(self, stream: Stream, wanted: Stream, request: ConfigureStream) -> Callable[[], None]:
-        """Record what a request changes in a stream; return a function that undoes it."""
-        name, before = stream.name, (self._set.copy(), self._runs.copy())
-        if wanted != stream:
-            base = self._set[name][0] if name in self._set else stream
-            self._set[name] = base, wanted
-        if request.automatic:
-            self._runs.pop(name, None)
-        elif request.enable is not None:
-            self._runs[name] = request.enable
-
-        def take_back() -> None:
-            self._set = _restored(self._set, name, before[0])
-            self._runs = _restored(self._runs, name, before[1])
-
-        return take_back
-
-    def of(self, stream: Stream) -> Stream:
-        """Return a stream of the schema with its overrides."""
-        base, wanted = self._set.get(stream.name, (None, stream))
-        if base == stream:
-            return wanted
-        self._set.pop(stream.name, None)  # overrides a schema that has been replaced
-        return stream
-
-    def runs(self, name: str) -> bool | None:
-        """Whether a stream shall run even if unused; None if no client has said."""
-        return self._runs.get(name)
-
-    def mode_changed(self) -> None:
-        """Forget the settings, so that the schema applies until a client changes them again; keep what is enabled."""
-        self._set.clear()
-        self._runs = {name: True for name, runs in self._runs.items() if runs}
-
-    def config_changed(self) -> None:
-        """Forget everything: streams of the same name are now different ones."""
-        self._set.clear()
-        self._runs.clear()
-
-
 _AFTER_A_CHANGE = ((_P.HELD, _E.RELEASE), (_P.RESTING, _E.RETRY))
 _REST = 0.9  # seconds after which a stream that could not be opened is due again; we are asked once a second
 _SILENT = 10.0  # the same where its channel did not answer, as on a stopped simulated board: each try waits for it
 
 
 class StreamLifecycle:
-    """The streams of the loaded mode, their machines, and their overrides."""
+    """The streams of the loaded mode, their machines, and what clients have set.
+
+    Settings last until the mode changes; whether a stream is enabled, until another configuration loads.
+    """
 
     def __init__(self) -> None:
         self.config: Config | None = None
         self.mode: str | None = None
         self.streams: Mapping[str, Stream] = {}
-        self._overrides = StreamOverrides()
+        self._set: dict[str, tuple[Stream, Stream]] = {}  # as the schema has it, and as it was set
+        self._runs: dict[str, bool] = {}  # whether it shall run even if unused, where a client has said
         self.machines: dict[str, StreamMachine] = {}  # also of streams of other modes, for which clients wait
 
     def machine(self, name: str) -> StreamMachine:
@@ -100,10 +57,11 @@ class StreamLifecycle:
         """Switch to the streams of this mode, none of them held; return the open ones that have to be closed for it."""
         streams = config.streams_in(mode, held) if config else {}
         if config is not None and (self.config is None or config.name != self.config.name):
-            self._overrides.config_changed()
+            self._set, self._runs = {}, {}  # streams of the same name are now different ones
         if mode != self.mode:
-            self._overrides.mode_changed()
-        before, self.streams = self.streams, {n: self._overrides.of(s) for n, s in streams.items()}
+            self._set, self._runs = {}, {name: True for name, runs in self._runs.items() if runs}
+        self._set = {n: found for n, found in self._set.items() if n not in streams or found[0] == streams[n]}
+        before, self.streams = self.streams, {n: self._set[n][1] if n in self._set else s for n, s in streams.items()}
         self.config, self.mode = config, mode
         for phase, event in _AFTER_A_CHANGE:
             for name in self._in(phase):
@@ -135,8 +93,7 @@ class StreamLifecycle:
 
     def is_wanted(self, stream: Stream, used: bool) -> bool:
         """Whether a stream shall run if it can."""
-        runs = self._overrides.runs(stream.name)
-        return used if runs is None else runs
+        return self._runs.get(stream.name, used)
 
     def is_held(self, name: str) -> bool:
         """Whether a stream is stopped while its region changes."""
@@ -149,7 +106,7 @@ class StreamLifecycle:
 
     def may_run(self, name: str) -> bool:
         """Whether a stream can be opened for a client."""
-        return not (self.is_held(name) or self.is_silent(name)) and self._overrides.runs(name) is not False
+        return not (self.is_held(name) or self.is_silent(name)) and self._runs.get(name) is not False
 
     def check_may_run(self, name: str) -> None:
         """Raise StreamStopped or Timeout, with the reason, if it cannot."""
@@ -157,22 +114,28 @@ class StreamLifecycle:
             raise StreamStopped(f"stream {name!r} is stopped while its region changes")
         if self.is_silent(name):
             raise Timeout(f"stream {name!r}: the board does not answer; the stream resumes when it does")
-        if self._overrides.runs(name) is False:
+        if self._runs.get(name) is False:
             raise StreamStopped(f"stream {name!r} was stopped; cm_data_config with enable lets it run")
 
     def set_to_run(self, name: str) -> bool:
         """Whether a client has set a stream to run even if unused."""
-        return bool(self._overrides.runs(name))
+        return self._runs.get(name, False)
 
     def override(self, stream: Stream, wanted: Stream, request: ConfigureStream) -> Callable[[], None]:
         """Replace a stream by `wanted` from here on; return a function that undoes it."""
-        self.streams = {**self.streams, stream.name: wanted}
-        forget = self._overrides.take(stream, wanted, request)
+        name, held, runs = stream.name, self._set.copy(), self._runs.copy()
+        self.streams = {**self.streams, name: wanted}
+        if wanted != stream:
+            self._set[name] = (self._set[name][0] if name in self._set else stream), wanted
+        if request.automatic:
+            self._runs.pop(name, None)
+        elif request.enable is not None:
+            self._runs[name] = request.enable
 
         def take_back() -> None:
-            if self.streams.get(stream.name) is wanted:  # it has not been changed again since
-                forget()
-                self.streams = {**self.streams, stream.name: stream}
+            if self.streams.get(name) is wanted:  # it has not been changed again since
+                self._set, self._runs = _restored(self._set, name, held), _restored(self._runs, name, runs)
+                self.streams = {**self.streams, name: stream}
 
         return take_back
 
