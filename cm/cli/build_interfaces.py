@@ -26,7 +26,11 @@ def fill_interfaces(parser: argparse.ArgumentParser) -> None:
     """Describe the action."""
     parser.description = _DESCRIPTION
     parser.add_argument(
-        "files", nargs="+", type=Path, metavar="FILE", help="Verilog, SystemVerilog, VHDL, .core, component.xml, .xci"
+        "files",
+        nargs="+",
+        type=Path,
+        metavar="FILE",
+        help="Verilog, SystemVerilog, VHDL, .core, component.xml, .xci, .hwh",
     )
     top = "only this module or entity; one with records or interfaces as its flat wrapper shows it"
     parser.add_argument("--top", metavar="NAME", help=top)

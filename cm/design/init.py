@@ -70,6 +70,10 @@ def init_text(wanted: Sources, folder: Path, name: str, part: str = DEFAULT_PART
     Of HDL, modules that no other one instantiates and that have a bus interface become modules of one region;
     with a top, only that module does. Raises BuildError if there is none.
     """
+    if built := next((path for path in wanted.files if path.suffix.lower() == ".hwh"), None):
+        raise BuildError(
+            f"{built} describes a design that is built: cm import takes it, and register_map: its registers"
+        )
     platform = platform_of(part)
     given = [_with_streams(one, wanted) for one in read_inputs(wanted, cores=cores)[0]]
     read = [(one.flat, _keys(one, folder, cores, wanted.include_dirs) | _values(one, wanted)) for one in given]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads files that describe modules, by kind: HDL, FuseSoC core, IP-XACT component, IP instance.
+"""Reads files that describe modules, by kind: HDL, FuseSoC core, IP-XACT component, IP instance, hardware handoff.
 
 `cm build init` and `cm build interfaces` are given any of them, together.
 """
@@ -14,6 +14,7 @@ from cm.design.hdl.errors import ModuleNotFound
 from cm.design.hdl.extract import Sources, read
 from cm.design.hdl.flat_wrappers import needs_wrapper
 from cm.design.hdl.flatten import flatten
+from cm.design.hdl.hwh_modules import load_hwh
 from cm.design.hdl.ipxact import load_component_xml, load_xci
 from cm.design.hdl.model import ModuleInfo, Problem
 from cm.design.project.fusesoc import core_files
@@ -50,7 +51,7 @@ def read_inputs(
     Of HDL, without a top, those that no other instantiates, or `every` one. `cores`: where to look for what a FuseSoC
     core depends on.
     """
-    sources = [path for path in wanted.files if path.suffix.lower() not in (".core", ".xml", ".xci", *CPP)]
+    sources = [path for path in wanted.files if path.suffix.lower() not in (".core", ".xml", ".xci", ".hwh", *CPP)]
     found: list[Given] = []
     problems: Sequence[Problem] = ()
     try:
@@ -67,6 +68,8 @@ def read_inputs(
             found.append(Given(load_component_xml(path), origin=path))
         elif suffix == ".xci":
             found.append(Given(load_xci(path, wanted.protocols), origin=path))
+        elif suffix == ".hwh":
+            found += [Given(info, origin=path) for info in load_hwh(path, wanted.top)]
         elif suffix in CPP:
             what = "C++ says nothing of ports and registers before it is synthesised"
             raise BuildError(f"{path}: {what}: run Vitis HLS, and give the component.xml or the Verilog that it wrote")

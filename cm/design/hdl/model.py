@@ -30,6 +30,7 @@ class Language(str, Enum):
     VHDL = "vhdl"
     IPXACT = "ipxact"
     HLS = "hls"
+    HWH = "hwh"
 
 
 class PortDirection(str, Enum):
@@ -68,6 +69,7 @@ class FoundBy(str, Enum):
     NAME = "name"  # naming convention
     PROTOCOL_FILE = "protocol_file"  # the user's own protocols
     IPXACT = "ipxact"  # component.xml
+    HWH = "hwh"
 
 
 @dataclass(frozen=True, slots=True)

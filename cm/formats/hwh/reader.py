@@ -37,6 +37,7 @@ class InstancePort:
     connections: tuple[ConnectedPort, ...]
     rate: int = 0
     sensitivity: str = ""
+    polarity: str = ""  # ACTIVE_LOW or ACTIVE_HIGH
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +48,8 @@ class BusInterface:
     type: str
     bus: str
     vlnv: str
+    parameters: Mapping[str, str]
+    ports: Mapping[str, str]  # by logical signal
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,11 +206,15 @@ def _port(element: ElementTree.Element) -> InstancePort:
         connections=tuple(ConnectedPort(end.get("INSTANCE", ""), end.get("PORT", "")) for end in ends),
         rate=_rate(element.get("CLKFREQUENCY"), f"port {element.get('NAME')}: CLKFREQUENCY"),
         sensitivity=element.get("SENSITIVITY", ""),
+        polarity=element.get("POLARITY", ""),
     )
 
 
 def _interface(element: ElementTree.Element) -> BusInterface:
-    return BusInterface(*(element.get(key, "") for key in ("NAME", "TYPE", "BUSNAME", "VLNV")))
+    parameters = {item.get("NAME", ""): item.get("VALUE", "") for item in element.iterfind("PARAMETER")}
+    ports = {item.get("LOGICAL", ""): item.get("PHYSICAL", "") for item in element.iterfind("PORTMAPS/PORTMAP")}
+    named = (element.get(key, "") for key in ("NAME", "TYPE", "BUSNAME", "VLNV"))
+    return BusInterface(*named, MappingProxyType(parameters), MappingProxyType(ports))
 
 
 def _ranges(elements: Iterator[ElementTree.Element]) -> Iterator[MemoryRange]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -13,8 +14,10 @@ pytest.importorskip("pyslang")
 pytest.importorskip("tree_sitter_vhdl")
 
 from hdl_support import DATA
+from import_support import hwh, module, port, ports
 
 from cm.cli.build_interfaces import fill_interfaces
+from cm.cli.main import main
 
 CAMERA = (str(DATA / "camera_edge.v"), "-I", str(DATA / "include"))
 
@@ -102,3 +105,31 @@ def test_wrong_usage_ends_with_status_2(words: tuple[str, ...]) -> None:
     with pytest.raises(SystemExit) as caught:
         run(*(("x.v", *words) if words else ()))
     assert caught.value.code == 2
+
+
+def test_a_hardware_handoff_tells_the_buses_of_its_ips(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each port map as Vivado has it, whatever its ports are called; a rate and a sensitivity go with their signals."""
+    names = {"TDATA": "pix_q", "TVALID": "pix_v", "TREADY": "pix_stop_n"}
+    mapped = "".join(f'<PORTMAP LOGICAL="{signal}" PHYSICAL="{name}"/>' for signal, name in names.items())
+    bus = (
+        f'<BUSINTERFACE NAME="S_PIX" TYPE="TARGET" BUSNAME="n" VLNV="xilinx.com:interface:axis:1.0"><PORTMAPS>{mapped}'
+    )
+    bus = f"<BUSINTERFACES>{bus}</PORTMAPS></BUSINTERFACE></BUSINTERFACES>"
+    clock = port("pclk", "I", kind="clk").replace("<PORT ", '<PORT CLKFREQUENCY="1e+08" ')
+    listed = [port("pix_q", "I", bits=24), port("pix_v", "I"), port("pix_stop_n", "O"), clock]
+    listed += [port("gone", "O", kind="INTERRUPT", sensitivity="EDGE_RISING"), port("shift", "I", bits=3)]
+    listed += [port("clear", "I", kind="rst").replace("<PORT ", '<PORT POLARITY="ACTIVE_HIGH" ')]
+    (tmp_path / "d.hwh").write_bytes(hwh(module("sharp", "sharpen", ports(*listed), bus), module("bare", "none")))
+    assert main(["build", "interfaces", str(tmp_path / "d.hwh"), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    (found,) = told["interfaces"]
+    assert (told["module"], found["name"], found["mode"], found["found_by"]) == ("sharp", "S_PIX", "slave", "hwh")
+    assert (found["ports"], found["clock"]) == (names, "pclk")
+    assert told["clocks"][0]["frequency_hz"] == 100_000_000
+    assert [(one["port"], one["sensitivity"]) for one in told["interrupts"]] == [("gone", "EDGE_RISING")]
+    assert [(one["port"], one["polarity"], one["clock"]) for one in told["resets"]] == [("clear", "high", "pclk")]
+    assert [left["name"] for left in told["leftover"]] == ["shift"]
+    assert main(["build", "interfaces", str(tmp_path / "d.hwh"), "--top", "other"]) != 0
+    assert "no instance other; there are: sharp, bare" in capsys.readouterr().err
+    assert main(["build", "init", str(tmp_path / "d.hwh")]) != 0
+    assert "describes a design that is built: cm import takes it" in capsys.readouterr().err
