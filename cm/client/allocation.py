@@ -48,6 +48,11 @@ class DeviceArray(np.ndarray[Any, np.dtype[Any]]):
         if self._memory is not None:
             self._memory.from_device()
 
+    def hand_over(self, to_device: bool) -> None:
+        """Write the processor's caches back, or let go of what they hold, also a second time."""
+        if self._memory is not None:
+            self._memory.hand_over(to_device)
+
     def free(self) -> None:
         """Free the memory now, even if arrays in it are left: the device must not use it any more. Twice is fine."""
         if self._memory is not None:
@@ -66,6 +71,9 @@ class _Memory:
 
     def to_device(self) -> None:
         self._mappings.end(0)
+
+    def hand_over(self, to_device: bool) -> None:
+        self._mappings.hand_over(0, to_device)
 
     def from_device(self) -> None:
         self._mappings.begin(0)

@@ -86,6 +86,12 @@ class SlotMappings:
             if self._closed and not self._begun:
                 self._close_fds()
 
+    def hand_over(self, slot: int, end: bool) -> None:
+        """The same, whatever was announced before: for memory that both sides use in turns that we do not see."""
+        if self._syncs and self._fds:
+            self._sync(slot, _END if end else 0)
+            (self._begun.discard if end else self._begun.add)(slot)
+
     def _sync(self, slot: int, end: int) -> None:
         argument = struct.pack("=Q", end | _READ | (_WRITE if self.geometry.writable else 0))
         while True:

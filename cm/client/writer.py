@@ -251,8 +251,8 @@ class Writer:
             if done.kind != packets.DONE:
                 continue
             asked, array = self._under_way.pop(done.sequence, (done.length, None))
-            if array is not None:
-                array.sync_from_device()
+            if array is not None and self.geometry is not None and not self.geometry.writable:
+                array.hand_over(to_device=False)
             self.moved = done.length
             if done.offset:
                 self._failed.append((done, asked))
@@ -320,7 +320,7 @@ class Transfers(Writer):
                 "the logic would take two transfers for two packets"
             )
         address = array.device_address + start
-        array.sync_to_device()
+        array.hand_over(to_device=True)
         self._under_way[self._next] = length, array
         self._connection.submit(grant._replace(timestamp_ns=address), 0, length, self._next)
         self._next += 1

@@ -21,9 +21,17 @@ class PynqBuffer(DeviceArray):
     """
 
     physical_address = DeviceArray.device_address
-    flush = DeviceArray.sync_to_device
-    invalidate = DeviceArray.sync_from_device
     freebuffer = DeviceArray.free
+
+    def sync_to_device(self) -> None:
+        """Make what was written visible to the device; again for what was written since."""
+        self.hand_over(to_device=True)
+
+    def sync_from_device(self) -> None:
+        """Make what the device has written visible here; again for what it has written since."""
+        self.hand_over(to_device=False)
+
+    flush, invalidate = sync_to_device, sync_from_device
 
     @property
     def virtual_address(self) -> int:

@@ -535,6 +535,10 @@ def test_memory_that_is_not_coherent_is_synchronised_once_at_each_end(
         assert synchronised == expected
         array.sync_from_device()
         assert synchronised == expected, "it is the processor's"
+        for flags in (END, END, BEGIN, BEGIN):
+            array.hand_over(to_device=flags == END)
+            expected.append((0, flags | READ | WRITE))
+            assert synchronised == expected, "each time"
         for sync, flags in ((array[1:].sync_to_device, END), (array.sync_from_device, BEGIN), (array.free, END)):
             sync()
             expected.append((0, flags | READ | WRITE))

@@ -126,4 +126,4 @@ def test_memory_is_given_back_when_it_is_freed_between_transfers(both: tuple[Boa
             assert result.tolist() == [value] * 64
             source.free()
             result.free()
-    assert until(lambda: sim.control.state()["memory"] == before)
+    assert until(lambda: sim.control.state()["memory"] <= before)
