@@ -3,10 +3,14 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
 
-from cm.design.debian_packages import PackageTree
+import pytest
+
+from cm.design.debian_packages import PackagesUnavailable, PackageTree, fetch
 from cm.formats.bitstream import FrameAddress, open_image
 from cm.formats.bitstream.geometry import encode_far, geometry_of
 from cm.formats.bitstream.idcodes import Family
@@ -14,6 +18,16 @@ from cm.formats.bitstream.packets import frame_writes
 
 DATABASE = "usr/share/prjxray/database"
 PARTS = {"xc7z020": "zynq7/xc7z020clg400-1", "xc7a50t": "artix7/xc7a50tcsg324-1", "xc7z010": "zynq7/xc7z010clg400-1"}
+
+
+def fetched_or_skipped(names: Sequence[str] = ("prjxray", "prjxray-database")) -> PackageTree:
+    """Packages of Debian's; the test is skipped where they cannot be had."""
+    if os.environ.get("CM_OFFLINE"):
+        pytest.skip(f"CM_OFFLINE: {names[0]} is not fetched")
+    try:
+        return fetch(names)
+    except (PackagesUnavailable, OSError) as problem:
+        pytest.skip(f"{names[0]} cannot be fetched: {problem}")
 
 
 def run(tree: PackageTree, program: str, *arguments: str) -> None:

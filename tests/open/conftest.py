@@ -16,12 +16,12 @@ HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "unit")]
 
 from routed import TOOLS, Routed, route  # noqa: E402 - beside this file
+from xray_oracle import fetched_or_skipped  # noqa: E402
 
 from cm.design.debian_packages import (  # noqa: E402
     PackagesUnavailable,
     PackageTree,
     default_folder,
-    fetch,
 )
 from cm.design.errors import BuildError  # noqa: E402
 from cm.design.openflow.tools import Tools, fetch_tools  # noqa: E402
@@ -32,12 +32,7 @@ EXAMPLES = HERE.parents[1] / "cm" / "data" / "examples"
 @pytest.fixture(scope="session")
 def packages() -> PackageTree:
     """nextpnr, Project X-Ray and their data."""
-    if os.environ.get("CM_OFFLINE"):
-        pytest.skip("CM_OFFLINE: nextpnr and prjxray are not fetched")
-    try:
-        return fetch(TOOLS)
-    except (PackagesUnavailable, OSError) as problem:
-        pytest.skip(f"nextpnr and prjxray cannot be fetched: {problem}")
+    return fetched_or_skipped(TOOLS)
 
 
 @pytest.fixture(scope="session")

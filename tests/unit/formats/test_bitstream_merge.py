@@ -3,13 +3,11 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable
 
 import pytest
-from xray_oracle import DATABASE
+from xray_oracle import DATABASE, fetched_or_skipped
 
-from cm.design.debian_packages import PackagesUnavailable, fetch
 from cm.formats.bitstream import CrcResult, FrameAddress, FrameRun, assemble, inspect
 from cm.formats.bitstream.errors import CannotRelocate
 from cm.formats.bitstream.memory import frames_in
@@ -23,12 +21,7 @@ SWITCH = "NE6BEG2.LOGIC_OUTS_L14"
 
 @pytest.fixture(scope="module")
 def database() -> Database:
-    if os.environ.get("CM_OFFLINE"):
-        pytest.skip("CM_OFFLINE: prjxray is not fetched")
-    try:
-        return Database.open("xc7z010", fetch(["prjxray", "prjxray-database"]).path(DATABASE))
-    except (PackagesUnavailable, OSError) as problem:
-        pytest.skip(f"prjxray cannot be fetched: {problem}")
+    return Database.open("xc7z010", fetched_or_skipped().path(DATABASE))
 
 
 def frames_of(database: Database, features: Iterable[tuple[str, str]]) -> dict[int, int]:

@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import struct
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from xray_oracle import DATABASE, PARTS, frames_read, part, read_bits, run
+from xray_oracle import DATABASE, PARTS, fetched_or_skipped, frames_read, part, read_bits, run
 
-from cm.design.debian_packages import PackagesUnavailable, PackageTree, fetch
+from cm.design.debian_packages import PackageTree
 from cm.formats.bitstream import Container, FrameAddress, FrameRun, assemble, convert, inspect
 from cm.formats.bitstream.geometry import decode_far, encode_far, geometry_of
 from cm.formats.bitstream.idcodes import Family, device_by_idcode, device_by_name
@@ -28,12 +27,7 @@ WORDS = 101
 
 @pytest.fixture(scope="module")
 def xray() -> PackageTree:
-    if os.environ.get("CM_OFFLINE"):
-        pytest.skip("CM_OFFLINE: prjxray is not fetched")
-    try:
-        return fetch(["prjxray", "prjxray-database"])
-    except (PackagesUnavailable, OSError) as problem:
-        pytest.skip(f"prjxray cannot be fetched: {problem}")
+    return fetched_or_skipped()
 
 
 def bits_of(far: int, frame: bytes) -> Iterator[tuple[int, int, int]]:

@@ -6,16 +6,15 @@ They come from Debian's sid, fetched once into the user's cache; without them, t
 
 from __future__ import annotations
 
-import os
 import random
 import struct
 from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
-from xray_oracle import DATABASE, frames_read, part, read_bits, run
+from xray_oracle import DATABASE, fetched_or_skipped, frames_read, part, read_bits, run
 
-from cm.design.debian_packages import PackagesUnavailable, PackageTree, fetch
+from cm.design.debian_packages import PackageTree
 from cm.formats.bitstream import FrameRun, assemble
 from cm.formats.bitstream.geometry import decode_far
 from cm.formats.bitstream.idcodes import Family, device_by_name
@@ -46,12 +45,7 @@ pytestmark = pytest.mark.open
 
 @pytest.fixture(scope="module")
 def tree() -> PackageTree:
-    if os.environ.get("CM_OFFLINE"):
-        pytest.skip("CM_OFFLINE: prjxray is not fetched")
-    try:
-        return fetch(["prjxray", "prjxray-database"])
-    except (PackagesUnavailable, OSError) as problem:
-        pytest.skip(f"prjxray cannot be fetched: {problem}")
+    return fetched_or_skipped()
 
 
 @pytest.fixture(scope="module", params=["xc7z010", "xc7z020"])
