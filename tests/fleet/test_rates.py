@@ -78,12 +78,17 @@ def test_six_boards_at_rest_send_no_more_than_six_frames_a_second(six: Fleet, in
 
 @needs_root
 @pytest.mark.timeout(600)
-def test_a_change_takes_five_round_trips_beyond_what_it_takes_without_delay(six: Fleet, in_long: bool) -> None:
-    """All links have the delay, that of who changes the fleet, too: a round trip between it and a board has two."""
+def test_a_change_takes_four_round_trips_beyond_what_it_takes_without_delay(six: Fleet, in_long: bool) -> None:
+    """All links have the delay, that of who changes the fleet, too: a round trip between it and a board has two.
+
+    Lower quartiles, as whatever else this machine does comes on top. The first change reads the store, which is one
+    more, and does not count.
+    """
     networks, endpoint, _ = six
     command, pipe = (*networks.inside("c"), sys.executable, "-c", CLIENT, endpoint), subprocess.PIPE
     env, beyond = environment(PYTHONPATH=str(REPOSITORY)), dict[float, list[float]]()
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, env=env, cwd="/", text=True) as client:
+        _asked(client, MODES[-1])
         for number in range(20 if in_long else 8):
             delay = 0.05 * (number % 2)
             for name in ("c", *BOARDS):
@@ -91,9 +96,9 @@ def test_a_change_takes_five_round_trips_beyond_what_it_takes_without_delay(six:
             time.sleep(1.0)
             beyond.setdefault(delay, []).append(float(_asked(client, MODES[number % len(MODES)])))
         client.communicate()
-    trips = (statistics.median(beyond[0.05]) - statistics.median(beyond[0.0])) / 0.1
+    trips = (statistics.quantiles(beyond[0.05])[0] - statistics.quantiles(beyond[0.0])[0]) / 0.1
     print(f"{trips:.2f} round trips beyond the slowest load; seconds beyond it, by delay: {beyond}")
-    assert trips <= 5.5
+    assert trips <= (4.0 if in_long else 4.5)
 
 
 def _asked(client: subprocess.Popen[str], mode: str) -> str:

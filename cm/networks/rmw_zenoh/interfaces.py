@@ -128,11 +128,6 @@ def dds_name(name: str) -> str:
     return f"{package}::{kind}::dds_::{own}_"
 
 
-def names() -> tuple[str, ...]:
-    """Of all messages."""
-    return tuple(_texts())
-
-
 @cache
 def _texts() -> Mapping[str, str]:
     found: dict[str, str] = {}

@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 
 from cm.errors import InvalidRequest, NotFound
 from cm.networks.rmw_zenoh import cdr
-from cm.networks.rmw_zenoh.interfaces import Field, message, names, type_hash
+from cm.networks.rmw_zenoh.interfaces import Field, _texts, message, type_hash
 
 ROOT = Path(__file__).resolve().parents[3]
-ALL = sorted(name for name in names())
+ALL = sorted(_texts())
 
 # As `ros2 topic info --verbose` of Jazzy shows them.
 PUBLISHED = {
