@@ -23,6 +23,8 @@ from web_leaks import changed, held
 from web_support import WebServer, change, chromium, crowded, page_of, watch, web_server
 
 from cm.simulation.software import Board as SimBoard
+from cm.wire import cm_pb2 as pb
+from cm.wire.messages.status import ConfigInfo, ModeInfo, RegisterInfo, RegValue, RegValues, Status, StreamStatus
 
 pytestmark = pytest.mark.web
 SHOTS = Path(os.environ.get("CM_WEB_SHOTS") or REPOSITORY / "build" / "web")
@@ -537,3 +539,53 @@ def test_a_hundred_changes_leave_nothing_behind(page: Any, server: WebServer) ->
     # A slow reader maps up to eight slots as it needs them; a leak would be one for each change.
     until(lambda: server.descriptors() <= before.descriptors + 8)
     assert after.resident <= before.resident + (8 << 10)
+
+
+# ---- a record ---------------------------------------------------------------------------------
+
+
+def test_the_slider_of_a_record_goes_to_any_moment(browser: Any, tmp_path: Path) -> None:
+    """By key and by mouse, to both ends too; modes, values and frames are those of then."""
+    pytest.importorskip("mcap", reason="records need mcap")
+    from recording_support import write_record
+
+    stream = StreamStatus("camera", "dma0", "s2mm", (48, 64), open=True)
+    modes = ModeInfo("default"), ModeInfo("edge")
+    at: dict[str, Any] = {"board": "kria", "started_ns": 1, "streams": (stream,)}
+    events: list[tuple[float, str, Any]] = [
+        (0.0, "cm_status", Status("camera", "default", sequence=1, **at)),
+        (0.0, "cm_read_config", ConfigInfo("camera", modes=modes, registers=(RegisterInfo("focus", 16, 32, "ro"),))),
+        (6.0, "cm_status", Status("camera", "edge", sequence=2, **at)),
+    ]
+    for number in range(1, 10):
+        about = pb.Frame(stream="camera", sequence=number, shape=[48, 64], dtype="uint8")
+        events.append((number + 0.0, "cm_read_reg", RegValues((RegValue("focus", number),), generation=number)))
+        events.append((number + 0.0, "cm_frame/camera", pb.FrameSeen(frame=about, kept=True)))
+        events.append((number + 0.0, "cm_stream/camera", bytes([20 * number]) * (48 * 64)))
+    events.append((9.513, "cm_read_reg", RegValues((RegValue("focus", 99),), generation=10)))
+    record = write_record(tmp_path / "night.mcap", sorted(events, key=lambda event: event[0]))
+    with web_server(None, "--record", str(record)) as server, page_of(browser, server) as page:
+        assert page.text_content("#record-name") == "night.mcap"
+        assert page.text_content("#link") == "a record"
+
+        def shows(mode: str, focus: int, grey: int) -> None:
+            until(lambda: page.get_attribute(f"li[data-mode={mode}]", "data-here") == "true")
+            until(lambda: page.evaluate(FOCUS) == str(focus))
+            until(lambda: set(pixels(page, "camera").ravel()) == {grey})
+
+        watch(page)
+        shows("edge", 99, 180)  # it begins with the end
+        page.focus("#when")
+        page.keyboard.press("Home")
+        until(lambda: page.get_attribute("li[data-mode=default]", "data-here") == "true")
+        for _ in range(70):
+            page.keyboard.press("ArrowRight")  # 3.5 s
+        shows("default", 3, 60)
+        page.keyboard.press("End")
+        shows("edge", 99, 180)
+        box = page.locator("#when").bounding_box()
+        page.mouse.click(box["x"] + box["width"] * 0.58, box["y"] + box["height"] / 2)  # 5.5 s
+        shows("default", 5, 100)
+
+
+FOCUS = "document.querySelector('[data-register=focus] .value')?.textContent"

@@ -24,7 +24,8 @@ export class RecordTime {
   show(record) {
     byId("record").hidden = !record;
     if (!record) return;
-    Object.assign(this.slider, { min: record.since_ms, max: record.until_ms });
+    const { since_ms: min, until_ms: until } = record, step = Number(this.slider.step);
+    Object.assign(this.slider, { min, max: min + Math.ceil((until - min) / step) * step }); // the end is a step too
     if (!this.busy) this.slider.value = record.at_ms;
     text(byId("record-name"), record.problems.length ? `${record.name}: ${record.problems.join("; ")}` : record.name);
     this.say(Number(this.slider.value));
