@@ -15,6 +15,8 @@ from cm.errors import InvalidRequest
 from cm.wire.messages.json_values import plain
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from cm.tools.replay.script import Script
 
 
@@ -63,10 +65,13 @@ def run(args: argparse.Namespace) -> int:
     since = time_in(args.since, record.opened) if args.since else 0
     until = time_in(args.until, record.opened) if args.until else 1 << 63
     wanted = topics_wanted(tuple(args.only))
+    if args.against == "rtl":
+        _say("not run again: registers, interrupts and frames of the record: the HDL has its own")
+        wanted = lambda _: False  # noqa: E731
     script = read_script(record, since, until, wanted)
     for text in script.left_out:
         _say(f"not run again: {text}")
-    return _check(args, script) if args.check else _play(args, script, since, until)
+    return _check(args, script) if args.check else _play(args, script, wanted, since, until)
 
 
 def _check(args: argparse.Namespace, script: Script) -> int:
@@ -77,9 +82,12 @@ def _check(args: argparse.Namespace, script: Script) -> int:
     for _ in range(args.times):
         with bench(script, None, args.against, args.build) as made:
             found = check(made, script)
+            config = made.board.config()
         alike += not found.differences
         for text in found.differences:
             print(text, file=sys.stderr)
+        if found.differences and config.schema != script.schemas.get(config.name):
+            _say(f"the configuration {config.name} of the design is not the one of the record (--build names another)")
     assert found is not None
     told = {
         "times": args.times, "alike": alike, "states": [plain(state) for state in found.recorded],
@@ -90,19 +98,19 @@ def _check(args: argparse.Namespace, script: Script) -> int:
     return 0 if alike == args.times else 1
 
 
-def _play(args: argparse.Namespace, script: Script, since: int, until: int) -> int:
+def _play(args: argparse.Namespace, script: Script, wanted: Callable[[str], bool], since: int, until: int) -> int:
     from cm.tools.replay.board import bench
     from cm.tools.replay.player import Player
-    from cm.tools.replay.script import topics_wanted
 
     if any(step.kind == "repair" for change in script.changes for step in change.steps):
         _say("not run again: upsets and their repairs (with --check they are)")
     with bench(script, args.runtime_dir, args.against, args.build) as made:
-        player = Player(made, script, topics_wanted(tuple(args.only)))
-        _say(f"ready: run the application with CM_RUNTIME_DIR={made.folder}")
+        player = Player(made, script, wanted)
+        ends = "; Ctrl-C ends it" if args.against == "rtl" else ""
+        _say(f"ready: run the application with CM_RUNTIME_DIR={made.folder}{ends}")
         with contextlib.suppress(KeyboardInterrupt):
             player.wait_for_application()
-            player.play(since, until, args.speed)
+            player.play(since, until, args.speed, on=args.against == "rtl")
     counts = dict(player.counts)
     return answer(
         args, counts, "\n".join(f"{count} {what}" for what, count in counts.items()) or "nothing to give back"

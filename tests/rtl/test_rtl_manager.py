@@ -14,12 +14,14 @@ import pytest
 from conftest import HERE, needs
 
 import cm
+from cm import child
 
 sys.path.append(str(HERE.parent))
-from manager_process import Manager, environment
+from manager_process import Manager, environment, until
 
-from cm.client.errors import RequestInvalid
+from cm.client.errors import RequestFailed, RequestInvalid
 from cm.simulation.rtl.main import example_build, prepare
+from cm.simulation.software import Control
 from cm.simulation.software.hardware.camera import frame, shipped_photos
 from cm.simulation.software.hardware.models import Colorise, default, edge
 
@@ -29,9 +31,13 @@ FOCUS = 3
 
 
 @pytest.fixture(scope="module")
-def board(tmp_path_factory: pytest.TempPathFactory) -> Iterator[cm.Board]:
+def runtime(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("run")
+
+
+@pytest.fixture(scope="module")
+def board(runtime: Path) -> Iterator[cm.Board]:
     prepare(example_build())  # a manager that waits for a compiler looks as if it hung
-    runtime = tmp_path_factory.mktemp("run")
     manager = Manager(runtime, "--sim=rtl", "--sim-hold", "0").start()
     try:
         with manager.connected() as connected:
@@ -113,3 +119,34 @@ def test_a_design_that_no_build_takes_is_simulated_and_the_log_says_what_a_build
         assert b"; 3 more: cm build check " in manager.log
     finally:
         manager.stop()
+
+
+def test_a_record_of_the_board_is_run_again_against_its_hdl(board: cm.Board, runtime: Path, tmp_path: Path) -> None:
+    """With the fault that it had: the same requests lead through the same states."""
+    pytest.importorskip("mcap", reason="needs the extra [record]")
+    from cm.recording.reader import Record
+    from cm.tools.replay.board import bench
+    from cm.tools.replay.check import check
+    from cm.tools.replay.script import read_script
+
+    board.set_mode("default")
+    path = tmp_path / "rtl.mcap"
+    command = child.command("cm.cli.main", "record", str(path), "--runtime-dir", str(runtime))
+    with subprocess.Popen(command, env=environment(), stderr=subprocess.DEVNULL) as recorder:
+        until(lambda: path.exists() and path.stat().st_size > 0)
+        until(lambda: any(f"pid {recorder.pid} " in client.name for client in board.clients()))
+        board.registers.write({"focus": FOCUS})
+        board.set_mode("edge_detection")
+        Control(runtime / "board").inject("icap_crc")
+        with pytest.raises(RequestFailed, match="CRC does not match"):
+            board.set_mode("colorise")
+        board.set_mode("colorise")
+        recorder.terminate()
+    script = read_script(Record(path))
+    assert [(state.goal, state.error) for state in script.states] == [
+        ("camera/edge_detection", ""),
+        ("camera/colorise", "load_failed"),
+        ("camera/colorise", ""),
+    ]
+    with bench(script, None, "rtl") as made:
+        assert check(made, script).differences == ()

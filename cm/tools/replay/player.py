@@ -38,8 +38,11 @@ class Player:
             if self._over.wait(_LOOK):
                 return
 
-    def play(self, since: int, until: int, speed: float = 1.0) -> None:
-        """All that lies between two times of the record, `speed` times as fast; 0: without pauses."""
+    def play(self, since: int, until: int, speed: float = 1.0, on: bool = False) -> None:
+        """All that lies between two times of the record, `speed` times as fast; 0: without pauses.
+
+        `on`: the board goes on after that, with what faults are left, until `stop`.
+        """
         with self._faults(), tempfile.TemporaryDirectory(dir=_SHARED if _SHARED.is_dir() else None) as folder:
             for name in self._script.streams & self._channels.keys():
                 with contextlib.suppress(CmError):  # no camera is there
@@ -51,6 +54,8 @@ class Player:
                 if self._over.wait(max(0.0, due - time.monotonic())):
                     return
                 self._give(event, Path(folder))
+            if on:
+                self._over.wait()
 
     def stop(self) -> None:
         """End playing, from another thread."""

@@ -81,9 +81,11 @@ class Orders:
         self._machine.kick()
 
     def _interrupt(self, order: Order) -> None:
-        if not self._machine.logic.interrupts.fire(str(order["name"])):
-            there = _there(self._machine.fabric.spec.interrupts)
-            raise NodeError(errno.ENOENT, f"no interrupt is called {order['name']}{there}")
+        name, known = str(order["name"]), self._machine.fabric.spec.interrupts
+        if not self._machine.logic.interrupts.fire(name):
+            if name in known:
+                raise NodeError(errno.EOPNOTSUPP, f"{name} is an output of the HDL that runs: nothing else raises it")
+            raise NodeError(errno.ENOENT, f"no interrupt is called {name}{_there(known)}")
 
     def _upset(self, order: Order) -> None:
         region, frame, bit = str(order["region"]), order.get("frame"), order.get("bit")
