@@ -60,7 +60,9 @@ def test_a_change_is_seen_at_its_own_end_though_a_history_told_of_it_before() ->
     gone = PastChange(2, "camera", "edge", "camera", "default", 2 * S, 3 * S, steps=(StepTaken("load", "prr0", 2 * S),))
     failed = ErrorInfo("load_failed", "load edge into prr0")
     begun = PastChange(3, "camera", "edge", "camera", "edge", 4 * S, steps=(StepTaken("decouple", "prr0", 4 * S),))
-    ended = PastChange(3, "camera", "edge", "camera", "edge", 4 * S, 5 * S, steps=(*begun.steps, *gone.steps), error=failed)
+    ended = PastChange(
+        3, "camera", "edge", "camera", "edge", 4 * S, 5 * S, steps=(*begun.steps, *gone.steps), error=failed
+    )
     broken = {"last_error": failed, "pr_mode": PrMode.ERROR}
     events = [
         *CHANGE,
@@ -68,7 +70,11 @@ def test_a_change_is_seen_at_its_own_end_though_a_history_told_of_it_before() ->
         (2.7, "cm_status", status(6, "edge", 2, "decouple")),
         (2.8, "cm_status", status(7, "edge", 2, "load")),
         (2.85, "cm_status", status(8, "edge", 3, **broken)),
-        (2.86, "cm_status", status(8, "edge", 3, **broken, changes=(gone, ended, PastChange(4, "camera", "plain", ended_ns=6 * S)))),
+        (
+            2.86,
+            "cm_status",
+            status(8, "edge", 3, **broken, changes=(gone, ended, PastChange(4, "camera", "plain", ended_ns=6 * S))),
+        ),
         (2.9, "cm_status", status(11, "plain", 4)),
     ]
     states: dict[int, State] = {}
