@@ -329,7 +329,7 @@ class Transfers(Writer):
         longer = " (a packet may have been longer)" if failed.offset == errno.EIO else ""
         return f"a transfer failed after {failed.length} of {asked} bytes{longer}"
 
-    def slot(self, *_: Any, **__: Any) -> AbstractContextManager[npt.NDArray[Any]]:
+    def slot(self, *_: Any, **__: Any) -> Any:
         """Not possible: there are no slots."""
         raise InvalidRequest(f"stream {self.name!r} transfers the memory of arrays: begin(array)")
 

@@ -132,8 +132,8 @@ class OpenStream:
     def _geometry(self, depth: int) -> Geometry:
         s = self.stream
         if self.setup.lent:
-            names = {"stream": s.name, "config_name": self._names[0], "mode": self._names[1]}
-            return Geometry(self.setup.length, writable=self.writes, depth=depth, **names)
+            most, (config, mode) = self.setup.length, self._names
+            return Geometry(most, writable=self.writes, depth=depth, stream=s.name, config_name=config, mode=mode)
         coherent = all(slot.coherent for slot in self.slots)
         return Geometry(
             slot_length=self.slots[0].length,
