@@ -47,6 +47,7 @@ _LOW_WORDS = frozenset(("n", "b", "ni", "na", "bar", "l"))
 _IO_WORDS = frozenset(("i", "o", "in", "out"))
 _INTERRUPT = re.compile(r"[a-z0-9]*?(?:irq|interrupt|intr|intrpt|itrpt|introut|irpt)(?:s|n)?\d*")
 _INT = re.compile(r"int\d*")
+_MAY_INTERRUPT = re.compile(r"int|irq|rpt|ip", re.IGNORECASE)  # few names have one of these
 _NUMBERED = re.compile(r"(?:ch|lane|core|hart|port|array|lines?|req|request)\d*")
 # what sets, clears or handles an interrupt, wherever the word stands
 _HANDLES = _words(
@@ -146,6 +147,8 @@ def says_what(name: str, clocks: Sequence[str]) -> bool:
 
 def interrupt_mode(port: Port) -> tuple[Mode, bool] | None:
     """MASTER for an output named like an interrupt, SLAVE for such an input, and whether the name leaves no doubt."""
+    if not _MAY_INTERRUPT.search(port.name):
+        return None
     mode = {PortDirection.OUT: Mode.MASTER, PortDirection.IN: Mode.SLAVE}.get(port.direction)
     sure = None if mode is None else _says_interrupt(words(port.name), mode is Mode.MASTER, port.width == 1)
     return None if mode is None or sure is None or says_clock(port.name) else (mode, sure)

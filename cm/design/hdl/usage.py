@@ -31,10 +31,10 @@ _TEST = re.compile(
     r"\bif\s*\(\s*([!~])?\s*\(?\s*(\w+)\s*\)?\s*(?:==+\s*(?:\d+'[bhd]|')?([01])\s*)?\)(.*?)(?:\belse\b|\bend\b|\Z)",
     re.DOTALL,
 )
-_COPY = re.compile(r"\b(?:assign\s+|wire\s+|logic\s+)(\w+)\s*=\s*([!~])?\s*(\w+)\s*;")
+_COPY = re.compile(r"(?:assign|wire|logic)\s+(\w+)\s*=\s*([!~])?\s*(\w+)\s*;")
 # a member of an interface that is given a port, or that a port is given, as in a flat wrapper
-_MEMBER = re.compile(r"\bassign\s+(\w+)(?:\.\w+)?\s*=\s*(\w+)(?:\.\w+)?\s*;")
-_CHOICE = re.compile(r"\bassign\s+(\w+)\s*=[^;?:]*\?\s*(\w+)\s*:\s*(\w+)\s*;")
+_MEMBER = re.compile(r"assign\s+(\w+)(?:\.\w+)?\s*=\s*(\w+)(?:\.\w+)?\s*;")
+_CHOICE = re.compile(r"assign\s+(\w+)\s*=[^;?:]*\?\s*(\w+)\s*:\s*(\w+)\s*;")
 _FIELD = re.compile(r"(?m)^\s*(\w+)(?:\.[\w.]+)?\s*<=\s*(\w+)(?:\.[\w.]+)?\s*;")
 _LEVELS = {"pos": Polarity.HIGH, "neg": Polarity.LOW}
 _WORD = re.compile(r"\w+")

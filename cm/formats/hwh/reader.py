@@ -213,8 +213,8 @@ def _port(element: ElementTree.Element) -> InstancePort:
 def _interface(element: ElementTree.Element) -> BusInterface:
     parameters = {item.get("NAME", ""): item.get("VALUE", "") for item in element.iterfind("PARAMETER")}
     ports = {item.get("LOGICAL", ""): item.get("PHYSICAL", "") for item in element.iterfind("PORTMAPS/PORTMAP")}
-    named = (element.get(key, "") for key in ("NAME", "TYPE", "BUSNAME", "VLNV"))
-    return BusInterface(*named, MappingProxyType(parameters), MappingProxyType(ports))
+    name, kind, bus, vlnv = (element.get(key, "") for key in ("NAME", "TYPE", "BUSNAME", "VLNV"))
+    return BusInterface(name, kind, bus, vlnv, MappingProxyType(parameters), MappingProxyType(ports))
 
 
 def _ranges(elements: Iterator[ElementTree.Element]) -> Iterator[MemoryRange]:
