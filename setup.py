@@ -80,7 +80,7 @@ def generate_interfaces(target: Path) -> None:
     for path in sorted((ROOT / "ros2/cm_interfaces").glob("*/*.*")):
         lines = [" ".join(line.partition("#")[0].split()) for line in path.read_text(encoding="utf-8").splitlines()]
         found[f"cm_interfaces/{path.parent.name}/{path.stem}"] = "\n".join(x for x in lines if x and "=" not in x)
-    written(target, f"# SPDX-License-Identifier: Apache-2.0\nOWN = {found!r}\n")
+    written(target, f'"""ros2/cm_interfaces; setup.py writes it."""\n\nOWN = {found!r}\n')
 
 
 def generate_validator(target: Path) -> None:
