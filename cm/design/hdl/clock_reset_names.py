@@ -36,10 +36,10 @@ _SETTINGS = _words("cfg config conf csr")
 _ENABLES = frozenset(("en", "ena", "enable", "cen"))  # `ce` before clk is a name: ce_clk
 _RESET = re.compile(  # first, burst, preset are other words, as is what a transceiver resets; a, c, …: one of several
     r"(?!\w*(?:fi|bu|wo|bo)rst|p?preset$|\w*(?:cnt|buf|scan|lpm)reset)"
-    r"(?P<n1>n)?[a-z0-9]{0,12}?(?:rst|reset|arest)(?P<n2>n|b|_n)?(?:[ac-h]|\d+(?:m|mhz|k|khz)?)?"
+    r"(?P<n1>n)?[a-z0-9]{0,12}?(?:rst|reset|arest)(?P<n2>n|b|_n)?(?:in|out|[ac-h]|\d+(?:m|mhz|k|khz)?)?"
 )
 _NOT_RESET = _words(
-    "done cnt count busy req request ack ok en enable val value active status vector addr count time code data wstb "
+    "done cnt count busy req rq request ack ok en enable val value active status vector addr count time code data wstb "
     "stb ival oval mon monitor"
 )
 _HOLDS = _ENABLES | _words("ss ssn nss cs csn csb ncs sel select ce load ld")

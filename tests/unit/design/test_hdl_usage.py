@@ -35,6 +35,7 @@ NAMED = [
     ("clkref tx_arestn", "clkref tx_arestn-clkref"),
     ("i_refck outclock pll_lock", "i_refck outclock"),
     ("clock pin_TRST_n_i_ival", "clock"),
+    ("clk nrstin RstTxPauseRq", "clk nrstin-clk"),
     ("clk do_rst reset_na blk_reset_mon", "clk reset_na-clk"),
     ("clk aClkStopstate flash_clk_oeb cfg_clk90", "clk"),
     ("clka clkb rsta rstb", "clka clkb rsta+clka rstb+clkb"),
