@@ -21,6 +21,7 @@ from cm.networks.fleet.store import (
     GENERATION,
     Claim,
     Put,
+    Puts,
     Settings,
     Store,
     Wanted,
@@ -50,12 +51,14 @@ async def measured(store: Store, boards: int, rounds: int = 5) -> dict[str, Any]
     took: dict[str, list[float]] = {"read": [], "open": [], "decide": []}
     found = await store.get("")
     for number in range(rounds):
-        lease = await store.grant(600)
+        lease = str(number + 1)
         claim = Put(packed(Claim(number + 2, "anna-12345678", "anna")), lease)
         where = packed(Wanted(number + 2, "camera", "edge_detection", "anna", "anna-12345678"))
         puts: dict[str, Put | None] = {key(name, "claim"): claim for name in names}
         found = await _timed(took["read"], lambda: store.get(""))
-        opened = await _timed(took["open"], lambda p=puts: store.txn({}, {GENERATION: Put("1"), **p}))  # type: ignore[misc]
+        claims: Puts = {GENERATION: Put("1"), **puts}
+        there = await _timed(took["open"], lambda p=claims, at=lease: store.claim({}, p, at, 600))  # type: ignore[misc]
+        opened = there[GENERATION].revision
         expect = {key(name, "wanted"): found[key(name, "wanted")].revision for name in names}
         expect |= {key(name, "claim"): opened for name in names}
         decided = {key(name, "wanted"): Put(where) for name in names}
