@@ -111,7 +111,7 @@ _BODIES: dict[type, tuple[str, Any]] = {  # of a reply: the field of Reply, and 
     st.RegionCheck: ("region", protobuf_messages.CHECK),
     st.RegionMap: ("region_map", protobuf_messages.MAP),
     st.MemoryInfo: ("memory", protobuf_messages.MEMORY),
-    st.StreamStatus: ("stream", protobuf_messages.STREAM_BODY),
+    st.StreamStatus: ("stream", protobuf_messages.STREAM),
 }
 _FROM_FIELD = {field: codec.from_pb for field, codec in _BODIES.values()}
 

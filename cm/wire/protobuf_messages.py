@@ -148,19 +148,6 @@ CONFIG = Twin(
 )
 
 
-class _StreamBody:
-    """A stream's state, as it stands in a reply."""
-
-    @staticmethod
-    def to_pb(stream: st.StreamStatus) -> pb.Stream:
-        return pb.Stream(state=STREAM.given(stream))
-
-    @staticmethod
-    def from_pb(message: pb.Stream) -> st.StreamStatus:
-        return STREAM.from_pb(message.state)
-
-
-STREAM_BODY = _StreamBody
 _LASTING = ("configs", "streams", "sensors", "clocks", "version", "started_ns", "board")
 _SELDOM = ("regions", "clients", "windows", "changes", "writes")
 _OF_STATUS: dict[str, Any] = {

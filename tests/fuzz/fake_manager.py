@@ -275,7 +275,7 @@ def _good(topic: bytes) -> bytes:
     elif topic == b"cm_read_data":
         reply.frame.CopyFrom(pb.Frame(**GOOD))  # type: ignore[arg-type]
     elif topic == b"cm_data_config":
-        reply.stream.state.name = "camera"
+        reply.stream.name = "camera"
     else:
         reply.registers.values.add(name="v", value=VALUE)
     return reply.SerializeToString()

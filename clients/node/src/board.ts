@@ -219,7 +219,7 @@ export class Board {
   /** What is set of a stream, or, with settings, is set from now on. */
   async configureStream(stream: string, settings: Omit<cm.IDataConfig, "stream"> = {}): Promise<cm.IStreamState> {
     const message = cm.DataConfig.encode({ lease: this.lease, ...settings, stream }).finish();
-    return part((await this.ask("cm_data_config", message)).reply.stream?.state, "a stream");
+    return part((await this.ask("cm_data_config", message)).reply.stream, "a stream");
   }
 
   /** Bytes of a memory, from `offset` on; `length` 0: the rest. Multiples of 4. */

@@ -106,7 +106,7 @@ def stream_asked(manager: ActingManager, taken: Taken) -> None:
     if isinstance(taken.request, rq.ReadData):
         manager.reply(taken, PIXELS, frame=frame("camera", 5, shape=[2, 3], dtype="uint16", length=12))
     elif taken.topic == "cm_data_config":
-        manager.reply(taken, stream=pb.Stream(state=pb.StreamState(name="camera", direction="s2mm", open=True)))
+        manager.reply(taken, stream=pb.StreamState(name="camera", direction="s2mm", open=True))
     elif taken.topic == "cm_read_config":
         manager.reply(taken, config=pb.Config(name="camera", mode="default", names=["camera"]))
     else:
