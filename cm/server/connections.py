@@ -24,12 +24,12 @@ from cm.errors import Forbidden
 from cm.manager.manager import Manager
 from cm.manager.planner import target
 from cm.manager.touched import Scene
+from cm.server.client_process import credentials
 from cm.server.client_quotas import place_of
 from cm.server.rights.admission import Gate
 from cm.server.rights.model import Access
 from cm.server.rights.principal import DATA, IPC, Principal, from_id, of_process
 from cm.server.rights.required_rights import OPENING, needs_of
-from cm.server.streams.client_process import credentials
 from cm.wire.plane_packets import SOCKET, Open
 from cm.wire.topics import Endpoints
 

@@ -16,9 +16,9 @@ from cm.device.register_reads import RegisterReads
 from cm.errors import CmError
 from cm.loop import Timer
 from cm.manager.manager import Manager
+from cm.server.client_process import Peer
 from cm.server.long_work import RoundRobin
 from cm.server.sockets import Loop
-from cm.server.streams.client_process import Peer
 from cm.wire.plane_packets import Open
 
 _AT_ONCE = 32  # registers that are published in one step

@@ -48,8 +48,8 @@ from cm.wire.plane_packets import Open, Purpose
 if TYPE_CHECKING:
     import socket
 
+    from cm.server.client_process import Peer
     from cm.server.local_reads import LocalReads
-    from cm.server.streams.client_process import Peer
     from cm.server.window_clients import OpenWindows
 
 _LOG = logging.getLogger("cm")

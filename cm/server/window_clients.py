@@ -16,10 +16,10 @@ from cm.errors import Busy, CmError
 from cm.manager.access.register_windows import Loan, WindowRequest
 from cm.manager.errors import HeldBy, ModuleAbsent, NothingLoaded, RegionBusy
 from cm.manager.manager import Manager
+from cm.server.client_process import Peer
 from cm.server.connections import Connections
 from cm.server.devices import BoardDevices
 from cm.server.sockets import Loop
-from cm.server.streams.client_process import Peer
 from cm.wire.encode import encode_table
 from cm.wire.plane_packets import Open, Purpose, WindowPages, encode_refused, encode_revoked, encode_window
 

@@ -20,10 +20,10 @@ from cm.device import DeviceNotFound
 from cm.device.data_plane import Plane, StreamSetup
 from cm.errors import Busy, CmError, InvalidRequest
 from cm.frozen import dataclass, field
+from cm.server.client_process import Peer
 from cm.server.devices import DeviceMemory
 from cm.server.settings.model import USUAL
 from cm.server.sockets import Loop
-from cm.server.streams.client_process import Peer
 from cm.wire.plane_packets import ADDRESS, Descriptor, Geometry, Open, Purpose, encode_geometry, encode_refused
 
 MEMORIES = 64  # of one user: each takes file descriptors, however small it is

@@ -16,11 +16,11 @@ from pathlib import Path
 
 from cm.errors import Busy, CmError
 from cm.loop import Timer
+from cm.server.client_process import Peer
 from cm.server.connections import Connections
 from cm.server.long_work import RoundRobin
 from cm.server.private_folders import share
 from cm.server.sockets import Loop
-from cm.server.streams.client_process import Peer
 from cm.wire import plane_packets as packets
 from cm.wire.plane_packets import PACKET_MAX, Open, Purpose, decode_open, encode_refused
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 from cm.device import DeviceGone, DeviceTimeout
 from cm.errors import Busy
 from cm.schema.model import Direction, Stream
-from cm.server.streams.client_process import Peer
+from cm.server.client_process import Peer
 from cm.wire.plane_packets import SLOTS_MAX
 
 RESERVE = 2  # slots that clients can never hold: the hardware fills one while the next waits

@@ -24,6 +24,7 @@ from cm.frozen import replace
 from cm.manager.access.leases import Leases
 from cm.manager.status_reports import stream_status
 from cm.schema.model import Config, Direction, Stream
+from cm.server.client_process import Peer
 from cm.server.connections import Connections
 from cm.server.devices import BoardDevices
 from cm.server.long_work import NOT_YET, RoundRobin
@@ -31,7 +32,6 @@ from cm.server.settings.model import USUAL, Limits
 from cm.server.sockets import Loop
 from cm.server.streams.channel_setup import changed, setup
 from cm.server.streams.client_memory import ClientMemories
-from cm.server.streams.client_process import Peer
 from cm.server.streams.lifecycle import StreamLifecycle, StreamStopped
 from cm.server.streams.machine import OPEN_PHASES, NoSlots, Step, StreamEvent, StreamPhase
 from cm.server.streams.over_zmq import ZmqReader, ZmqWriter

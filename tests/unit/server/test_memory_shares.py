@@ -6,8 +6,8 @@ from __future__ import annotations
 import pytest
 
 from cm.errors import Busy
+from cm.server.client_process import Peer
 from cm.server.streams.client_memory import MEMORIES, check_share
-from cm.server.streams.client_process import Peer
 
 GREEDY, AGAIN, NEW = Peer(10, "greedy", 10), Peer(11, "again", 10), Peer(20, "new", 20)
 MIB = 1 << 20

@@ -17,8 +17,8 @@ from cm.device import DmaCaps, DmaInfo, DmaType
 from cm.device.data_plane import StreamSetup
 from cm.errors import InvalidRequest
 from cm.schema.model import Direction, Stream
+from cm.server.client_process import Peer
 from cm.server.streams import stream
-from cm.server.streams.client_process import Peer
 from cm.server.streams.machine import StreamMachine
 from cm.server.streams.stream import OpenStream
 from cm.wire.messages.status import ErrorInfo, FrameInfo, StreamClient, StreamStatus

@@ -15,7 +15,7 @@ import pytest
 from cm.errors import Busy, Forbidden
 from cm.manager.access.register_windows import WindowRequest
 from cm.manager.errors import HeldBy, ModuleAbsent
-from cm.server.streams.client_process import Peer
+from cm.server.client_process import Peer
 from cm.server.window_clients import EACH, MOST, OpenWindows
 from cm.wire import plane_packets as packets
 from cm.wire.messages.status import ConfigInfo

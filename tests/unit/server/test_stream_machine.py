@@ -14,7 +14,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 
 from cm.device import DeviceError, DeviceTimeout
 from cm.schema.model import Direction, Stream
-from cm.server.streams.client_process import Peer
+from cm.server.client_process import Peer
 from cm.server.streams.machine import (
     OPEN_PHASES,
     RESERVE,
