@@ -94,7 +94,6 @@ CM_NEEDS_DAEMON = "python3-compression \
                    python3-datetime \
                    python3-fastjsonschema \
                    python3-netclient \
-                   python3-netserver \
                    python3-pyyaml \
                    python3-resource \
                    python3-xml"
@@ -106,7 +105,7 @@ RDEPENDS:${PN}-sim:append:class-target = " ${PN} (= ${EXTENDPKGV})"
 RDEPENDS:${PN}-build:append:class-target = " ${PN}-sim (= ${EXTENDPKGV}) python3-jinja2 python3-shell"
 RDEPENDS:${PN}-bench:append:class-target = " ${PN}-sim (= ${EXTENDPKGV}) python3-shell"
 RDEPENDS:${PN}-web:append:class-target = " ${PN}-client (= ${EXTENDPKGV}) python3-aiohttp python3-netclient"
-RDEPENDS:${PN}-bridge:append:class-target = " ${PN} (= ${EXTENDPKGV}) python3-ctypes python3-datetime python3-netclient python3-sqlite3"
+RDEPENDS:${PN}-bridge:append:class-target = " ${PN} (= ${EXTENDPKGV}) python3-datetime python3-netclient python3-sqlite3"
 RDEPENDS:${PN}-ptest += "${PN}-sim python3-pytest python3-unittest-automake-output"
 RRECOMMENDS:${PN}-client:append:class-target = " python3-argcomplete"
 RRECOMMENDS:${PN}-sim:append:class-target = " python3-pillow"
