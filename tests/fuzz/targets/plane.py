@@ -23,7 +23,7 @@ MAX_LENGTH = 4096
 _PLANE = native.new()
 _READS = reads.new()
 _LENGTH = mmap.PAGESIZE
-_SETUP = native.Setup(True, False, False, 2, _LENGTH, 0, 0, 0, 0)
+_SETUP = native.Setup(True, False, False, 2, _LENGTH, *[0] * 6)
 _GEOMETRY = wire.encode_geometry(Geometry(_LENGTH, _LENGTH, writable=True, depth=2, shape=(_LENGTH,), stream="echo"))
 _HUNG = 60.0  # seconds
 
