@@ -53,7 +53,7 @@ $(VENV)/.installed-%: $(STAMP)
 	@touch $@
 
 # Suites that need what others bring together.
-$(VENV)/.installed-test-soak: $(VENV)/.installed-test
+$(VENV)/.installed-test-soak: $(VENV)/.installed-test $(VENV)/.installed-test-networks
 $(VENV)/.installed-test-release: $(VENV)/.installed-test $(LINT_STAMP) $(VENV)/.installed-release
 $(VENV)/.installed-test-soak $(VENV)/.installed-test-release:
 	@touch $@
