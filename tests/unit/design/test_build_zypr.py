@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -117,13 +116,3 @@ def test_the_simulation_finds_a_module_of_two_regions_by_the_names_of_the_runtim
     schema.write_text(design.schema)
     modules = cm.schema.load(schema).modules.values()
     assert {(module.region, module.name) for module in modules} == set(design.modules)
-
-
-@pytest.mark.skipif("ZYPR" not in os.environ, reason="ZYPR does not name a checkout of github.com/accl-kaust/zypr")
-@pytest.mark.parametrize("name", ["sobel", "vadd", "vision", "vision2", "test"])
-def test_a_project_file_of_theirs_needs_no_line_by_hand(name: str, tmp_path: Path) -> None:
-    found = next(Path(os.environ["ZYPR"]).rglob(f"tests/demo/{name}.json"))
-    schema = tmp_path / "build.yaml"
-    assert main(["build", "init", "--from", "zypr", str(found), "--output", str(schema)]) == 0
-    assert main(["build", "check", str(tmp_path)]) == 0
-    assert main(["build", "generate", str(tmp_path), "--out", str(tmp_path / "build")]) == 0
