@@ -158,7 +158,7 @@ class Register:
     def keeps(self) -> bool:
         """Whether it reads as what was last written, as far as is known."""
         plain = self.access is Access.RW and not self.volatile
-        return plain and all(f.access in (None, FieldAccess.RW) for f in self.fields.values())
+        return plain and (not self.fields or all(f.access in (None, FieldAccess.RW) for f in self.fields.values()))
 
 
 @dataclass(frozen=True, slots=True)

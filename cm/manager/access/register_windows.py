@@ -191,8 +191,8 @@ class Windows:
             ours, ends = _of_block(config.blocks[name], ours, memories.values())
         if not ends:
             raise NoWindow(f"{name!r} has no registers")
-        address = min(start for start, _ in ends) & -mmap.PAGESIZE
-        end = max(end for _, end in ends) + mmap.PAGESIZE - 1 & -mmap.PAGESIZE
+        address = min(ends)[0] & -mmap.PAGESIZE
+        end = max([end for _, end in ends]) + mmap.PAGESIZE - 1 & -mmap.PAGESIZE
         inside = tuple([m for m in memories.values() if m.region == region and address <= m.address and m.end <= end])
         return Place(region, module, config, mode, ours, inside, address, end - address)
 
@@ -361,12 +361,9 @@ def _is_recorded(register: Register) -> bool:
 
 def _scopes(place: Place) -> tuple[str, ...]:
     """What may be written through it, as leases have it."""
-    region = (f"region:{place.region}",) if place.region else ()
-    registers, memories = (
-        (f"registers:{r.name}" for r in place.registers),
-        (f"memories:{m.name}" for m in place.memories),
-    )
-    return (*region, *registers, *memories)
+    region = [f"region:{place.region}"] if place.region else []
+    registers, memories = place.registers, place.memories
+    return (*region, *[f"registers:{r.name}" for r in registers], *[f"memories:{m.name}" for m in memories])
 
 
 def _check_pages(place: Place) -> None:
