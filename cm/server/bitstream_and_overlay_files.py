@@ -547,7 +547,7 @@ class BoardFiles:
         self._root = root
         self._reader = BitstreamReader()
         self._firmware = FirmwareFolder(root, self._reader, copies)
-        self._footprints: dict[tuple[str, str], tuple[Report, Frames]] = {}  # by configuration and region: of which
+        self._footprints: dict[tuple[str, str], tuple[Report, Expectation, Frames]] = {}  # by configuration and region
         self._frames: dict[str, LoadedFrames] = {}  # by the image's hash
         overlays = OverlayFiles(root, self._reader, self._firmware)
         self.firmware_name, self.check_firmware = self._firmware.name_of, self._firmware.check
@@ -572,13 +572,13 @@ class BoardFiles:
         for module in config.modules.values():
             if module.region == region.name:
                 with contextlib.suppress(CmError, OSError):
-                    path = bitstream_path(config, module, self._root)
+                    path, expect = bitstream_path(config, module, self._root), expect_module(config, module)
                     report, known = self._reader.inspect(path), self._footprints.get((config.name, region.name))
-                    if known is None or known[0] is not report:
-                        self._reader.validated(path, expect_module(config, module))
-                        known = self._footprints[config.name, region.name] = report, footprint_of(report)
-                    if known[1]:
-                        return known[1]
+                    if known is None or known[0] is not report or known[1] != expect:
+                        self._reader.validated(path, expect)
+                        known = self._footprints[config.name, region.name] = report, expect, footprint_of(report)
+                    if known[2]:
+                        return known[2]
         return ()
 
     def static_image(self, config: Config) -> Image:
