@@ -53,7 +53,7 @@ def test_the_fleets_bridge_runs_as_its_own_user_without_a_capability(member: Boa
 
 def test_the_managers_policy_knows_callers_by_the_names_in_their_certificates(member: Board) -> None:
     member.do("cm load camera", "alice")
-    member.do(_ANNA.format("load camera edge_detection"), "alice")
+    member.do(_ANNA.format("load camera/edge_detection"), "alice")
     assert '"mode": "edge_detection"' in member.do("cm status --json", "alice")
     refused = member.run(_ANNA.format("mode colorise").replace("anna", "olga"), "alice")
     assert (refused.status, "zenoh:olga" in refused.said) == (1, True), refused.said
