@@ -40,7 +40,8 @@ html_show_copyright = False  # the licence is in the sources
 html_copy_source = False
 html_theme_options = {"navigation_with_keys": True, "top_of_page_buttons": []}
 graphviz_output_format = "svg"
-_ALSO = ("region", "static part", "footprint")  # of what users describe
+_ALSO = {"configuration", "region", "module", "mode", "static part", "footprint", "register window", "lease", "slot"}
+_ALSO |= {"role", "data socket", "guest", "generation", "decouple", "quiesce", "upset", "scrub", "boundary", "keeper", "store"}
 _ARROW = re.compile(r"\s*(\S+) -->(?:\|(.*)\|)? ([^\s:]+)(?:: (.*))?$")
 _BOX = re.compile(r'\s*(subgraph )?(\w+)\["(.*)"\]$')
 _OUTSIDE = re.compile(r"\[((?:`[^`]*`|[^\[\]`\n])*)\]\(((?:\.\./)+[^)#\s]+)(#[^)\s]*)?\)")
@@ -67,15 +68,19 @@ def drawn(mermaid: str) -> str:
 
 
 def terms(glossary: str) -> dict[str, str]:
-    """Words of the glossary that pages link where they first stand, and their anchors: those of hardware."""
-    rows = re.findall(
-        r"^\| ([^|*]+?) \|", glossary.partition("**hardware and kernel**")[2].partition("| **")[0], re.MULTILINE
-    )
-    return {word.strip(): f"term-{nodes.make_id(row)}" for row in [*rows, *_ALSO] for word in row.split(",")}
+    """Words of the glossary that pages link where they first stand, and their anchors: of hardware all, `_ALSO` else."""
+    hardware = glossary.partition("**hardware and kernel**")[2].partition("| **")[0]
+    rows = re.findall(r"^\| ([^|*-][^|*]*?) \|", glossary, re.MULTILINE)
+    words = {word.strip(): row for row in reversed(rows) for word in row.split(",")}
+    return {
+        word: f"term-{nodes.make_id(row)}"
+        for word, row in words.items()
+        if word in _ALSO or f"| {row} |" in hardware
+    }
 
 
 class Words(SphinxTransform):
-    """Link words of the glossary where they first stand on a page for newcomers, and make the rows to link to."""
+    """Link words of the glossary where they first stand on a page, and make the rows to link to."""
 
     default_priority = 900  # after references are known: a word within a link stays
 
@@ -86,13 +91,9 @@ class Words(SphinxTransform):
             rows = {f"term-{nodes.make_id(row[0].astext())}": row for row in self.document.findall(nodes.row)}
             for anchor in wanted.values():
                 rows[anchor]["ids"] = [anchor]
-        elif page.startswith(("tutorial/", "boards/")) or page in self.doors():
+        elif not page.startswith("reference/"):
             for word, anchor in wanted.items():
                 self.link(word, anchor)
-
-    def doors(self) -> set[str]:
-        """The pages behind *Do*."""
-        return set(re.findall(r"\(([\w/-]+)\.md\)", (HERE / "how-to.md").read_text("utf-8")))
 
     def link(self, word: str, anchor: str) -> None:
         """The first that stands in text, or is a literal of its own, and not in a heading, a block or a link."""
