@@ -40,8 +40,8 @@ html_show_copyright = False  # the licence is in the sources
 html_copy_source = False
 html_theme_options = {"navigation_with_keys": True, "top_of_page_buttons": []}
 graphviz_output_format = "svg"
-_ALSO = {"configuration", "region", "module", "mode", "static part", "footprint", "register window", "lease", "slot"}
-_ALSO |= {"role", "data socket", "guest", "generation", "decouple", "quiesce", "upset", "scrub", "boundary", "keeper", "store"}
+_ALSO = {"configuration", "region", "mode", "static part", "footprint", "register window", "lease", "slot", "role"}
+_ALSO |= {"data socket", "guest", "generation", "decouple", "quiesce", "upset", "scrub", "boundary", "keeper"}
 _ARROW = re.compile(r"\s*(\S+) -->(?:\|(.*)\|)? ([^\s:]+)(?:: (.*))?$")
 _BOX = re.compile(r'\s*(subgraph )?(\w+)\["(.*)"\]$')
 _OUTSIDE = re.compile(r"\[((?:`[^`]*`|[^\[\]`\n])*)\]\(((?:\.\./)+[^)#\s]+)(#[^)\s]*)?\)")
@@ -68,14 +68,12 @@ def drawn(mermaid: str) -> str:
 
 
 def terms(glossary: str) -> dict[str, str]:
-    """Words of the glossary that pages link where they first stand, and their anchors: of hardware all, `_ALSO` else."""
+    """Words of the glossary that pages link where they first stand, and their anchors: hardware's, and `_ALSO`."""
     hardware = glossary.partition("**hardware and kernel**")[2].partition("| **")[0]
     rows = re.findall(r"^\| ([^|*-][^|*]*?) \|", glossary, re.MULTILINE)
     words = {word.strip(): row for row in reversed(rows) for word in row.split(",")}
     return {
-        word: f"term-{nodes.make_id(row)}"
-        for word, row in words.items()
-        if word in _ALSO or f"| {row} |" in hardware
+        word: f"term-{nodes.make_id(row)}" for word, row in words.items() if word in _ALSO or f"| {row} |" in hardware
     }
 
 
