@@ -24,6 +24,7 @@ from setuptools.errors import SetupError
 ROOT = Path(__file__).resolve().parent
 PROTO = "cm/wire/cm.proto"
 GENERATED = "cm/wire/cm_pb2.py"
+CLASSES = "cm/wire/messages/_proto.py"
 SCHEMA = "cm/schema/data/runtime.schema.json"
 VALIDATOR = "cm/schema/_validator.py"
 INTERFACES = "cm/networks/rmw_zenoh/_cm_interfaces.py"
@@ -74,6 +75,16 @@ def written(target: Path, text: str) -> None:
     scratch.replace(target)
 
 
+def generate_classes(target: Path) -> None:
+    """Write the frozen classes of cm.proto's messages."""
+    sys.path.insert(0, str(ROOT / "release"))
+    try:
+        from message_classes import source
+    finally:
+        sys.path.remove(str(ROOT / "release"))
+    written(target, source((ROOT / PROTO).read_text(encoding="utf-8")))
+
+
 def generate_interfaces(target: Path) -> None:
     """Write ros2/cm_interfaces as a module, without comments and constants."""
     found = {}
@@ -101,6 +112,7 @@ def generate_validator(target: Path) -> None:
 def generate_all(base: Path) -> None:
     """Everything that is generated, below a folder."""
     generate(base / GENERATED)
+    generate_classes(base / CLASSES)
     generate_interfaces(base / INTERFACES)
     generate_validator(base / VALIDATOR)
 
@@ -121,7 +133,7 @@ class BuildPy(build_py):
         base = self._base()
         made = [
             str(base / name)
-            for name in (GENERATED, INTERFACES, VALIDATOR)
+            for name in (GENERATED, CLASSES, INTERFACES, VALIDATOR)
             if name != VALIDATOR or (base / name).exists()
         ]
         return [*outputs, *(target for target in made if target not in outputs)]

@@ -41,7 +41,11 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
             "cm.client.aio.events",
         ),
     ),
-    "messages": ("What the manager tells", "Statuses, plans, descriptions, events.", ("cm.wire.messages.status",)),
+    "messages": (
+        "What the manager tells",
+        "Statuses, plans, descriptions, events.",
+        ("cm.wire.messages._proto", "cm.wire.messages.status"),
+    ),
     "errors": (
         "Errors",
         "Each has a stable `code`; [what each means](../../docs/reconfiguration.md#errors).",
@@ -96,7 +100,7 @@ INTERNAL = {
 }
 MEMBERS_INTERNAL = {"ask", "run", "subscribe", "end", "disown", "nothing"}  # for what hangs on a board
 _DUNDERS = {"__getitem__", "__setitem__", "__iter__", "__len__", "__contains__", "__array__"}
-_PLAIN_BASES = ("Generic", "Protocol", "Guarded")
+_PLAIN_BASES = ("Generic", "Protocol", "Guarded", "shown.")
 _PREFACE = (
     "Made from docstrings by `make docs`. `Limit` is a time-out in seconds, or None, which waits for "
     "ever; left out (`DEFAULT`) it is that of the board or of the stream."
@@ -172,6 +176,7 @@ def _import_from(module: str) -> str:
     return {
         "cm.client.board": "cm",
         "cm.client.picture": "cm",
+        "cm.wire.messages._proto": "cm.wire.messages.status",
         "cm.client.aio.board": "cm.aio",
         "cm.networks.fleet.blocking": "cm.networks.fleet",
     }.get(module, module)

@@ -13,12 +13,12 @@ from mcap.writer import CompressionType, Writer
 from cm.recording import layout
 from cm.recording.layout import Opened
 from cm.wire import cm_pb2 as pb
-from cm.wire import protobuf_messages as own
+from cm.wire.protobuf_messages import CODECS, kind_of
 
 BEGAN = 1_700_000_000_000_000_000  # nanoseconds: the time of the record at which each begins
 OFFSET = BEGAN - 1_000_000_000  # so that the machine's clock stands at one second then
 OPENED = Opened("bench", 1, BEGAN, OFFSET, "0.1", BEGAN - 5_000_000_000, "tests")
-_TWINS = {"Status": own.STATUS, "Config": own.CONFIG, "RegValues": own.REGISTERS, "Irq": own.IRQ, "Audit": own.AUDIT}
+_DATA = ("Status", "Config", "RegValues", "Irq", "Audit")
 
 
 def described() -> bytes:
@@ -38,8 +38,8 @@ def schema_of(topic: str) -> str:
 def message_of(topic: str, value: Any) -> Any:
     """Data, or a message already, as a message."""
     kind = schema_of(topic)
-    if kind in _TWINS:
-        return _TWINS[kind].to_pb(value)
+    if kind in _DATA:
+        return CODECS[kind_of(kind)].to_pb(value)
     if isinstance(value, bytes):
         return pb.FrameData(data=value)
     return value

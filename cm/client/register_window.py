@@ -30,7 +30,7 @@ from cm.errors import InvalidRequest, Timeout
 from cm.field_access import KINDS, Rest, changed_too, must_not_be_read, rest_of
 from cm.frozen import replace
 from cm.wire import plane_packets as packets
-from cm.wire.encode import decode_table
+from cm.wire.encode import decoded
 from cm.wire.messages.status import ConfigInfo, ErrorInfo, MemoryInfo, RegisterInfo
 from cm.wire.plane_packets import DESCRIPTOR, PACKET_MAX, Descriptor, Open, WindowPages
 
@@ -72,7 +72,7 @@ class _Loan:
             if len(fds) != 2:
                 raise ConnectionLost("the manager's answer has no pages")
             size = min(os.fstat(fds[1]).st_size, _TABLE)
-            return packets.decode_window(packet), MappedWindow(fds[0]), decode_table(os.pread(fds[1], size, 0))
+            return packets.decode_window(packet), MappedWindow(fds[0]), decoded(ConfigInfo, os.pread(fds[1], size, 0))
         except ConnectionLost:  # an OSError too
             raise
         except OSError as error:

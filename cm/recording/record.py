@@ -14,7 +14,8 @@ from cm.errors import InvalidRequest, sentence
 from cm.frozen import dataclass, replace
 from cm.recording.file import Channel, Channels, Data, RecordFile, Schema
 from cm.recording.layout import DATA, FRAME, GAP, SCHEMAS, Opened, file_name, files_of, is_folder
-from cm.wire.records import Gap, descriptor_set, encode_gap
+from cm.wire.encode import encoded
+from cm.wire.records import Gap, descriptor_set
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _ROOM = 32 << 20  # bytes that a full disk has free again before a record goes on
@@ -26,7 +27,7 @@ Message = tuple[Channel, bytes]
 
 def as_protobuf(record: Record, gap: Gap) -> Message:
     """A gap on `cm_gap`."""
-    return record.channel(GAP), encode_gap(gap)
+    return record.channel(GAP), encoded(gap)
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,9 +28,9 @@ from cm.frozen import dataclass, replace
 from cm.recording import layout, pictures
 from cm.recording.record import Limits, Message, Record
 from cm.wire import topics
-from cm.wire.encode import decode_event, encode_registers, encode_status, encode_table
+from cm.wire.encode import decode_event, encode_status, encoded
 from cm.wire.messages.status import Audit, ConfigInfo, Irq, RegValue, RegValues, Status, StreamStatus
-from cm.wire.records import Gap, encode_clock, encode_frame_seen
+from cm.wire.records import Clock, Gap, encode_frame_seen
 
 _EACH = 1.0  # seconds between two clocks, between writing what waits, and between two tries to connect
 _TOGETHER = 0.1  # seconds in which publications gather before they are written
@@ -230,7 +230,7 @@ class Recorder:
         self._record.tell(Gap(topic, since, self._now(), messages, cause=cause, text=text))
 
     def _clock(self) -> bytes:
-        return encode_clock(self._now() - self._opened.offset_ns, time.time_ns())
+        return encoded(Clock(self._now() - self._opened.offset_ns, time.time_ns()))
 
     def _state(self, record: Record) -> Iterator[Message]:
         """What is true now, for the beginning of a file."""
@@ -238,9 +238,9 @@ class Recorder:
         assert status is not None
         yield record.channel(layout.CLOCK), self._clock()
         yield record.channel(layout.STATUS), self._with_past(status)
-        yield record.channel(layout.CONFIG), encode_table(self._config)
+        yield record.channel(layout.CONFIG), encoded(self._config)
         values = RegValues(tuple(self._values.values()), status.config_name, status.mode)
-        yield record.channel(layout.REGISTERS), bytes(encode_registers(values)[1])
+        yield record.channel(layout.REGISTERS), encoded(values)
 
     def _with_past(self, status: Status) -> bytes:
         """A status with the history behind it. The answer's own status is of later, before those on their way."""
@@ -299,9 +299,9 @@ class Recorder:
             return
         self._look_up(board, status)
         now = self._now()
-        self._log(layout.CONFIG, encode_table(self._config), now)
+        self._log(layout.CONFIG, encoded(self._config), now)
         values = RegValues(tuple(self._values.values()), status.config_name, status.mode)
-        self._log(layout.REGISTERS, bytes(encode_registers(values)[1]), now)
+        self._log(layout.REGISTERS, encoded(values), now)
 
     # ---- frames --------------------------------------------------------------------------
 

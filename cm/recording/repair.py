@@ -13,7 +13,8 @@ from cm.errors import InvalidRequest
 from cm.frozen import dataclass
 from cm.recording.layout import GAP, METADATA, SCHEMAS
 from cm.recording.salvage import Described, described
-from cm.wire.records import Gap, descriptor_set, encode_gap
+from cm.wire.encode import encoded
+from cm.wire.records import Gap, descriptor_set
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +102,7 @@ class _Copy:
             if not self._gaps:
                 schema = self._writer.register_schema(f"cm.{SCHEMAS[GAP]}", "protobuf", descriptor_set())
                 self._gaps = self._writer.register_channel(GAP, "protobuf", schema)
-            gap = encode_gap(Gap("", self._last, self._last, cause="damaged", text=text))
+            gap = encoded(Gap("", self._last, self._last, cause="damaged", text=text))
             self._writer.add_message(self._gaps, self._last, gap, self._last)
         if self._ours:
             self._told = len(self._lost)

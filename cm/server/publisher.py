@@ -309,7 +309,7 @@ class Publisher:
         wanted = [topic for topic in _topics(name) if self.has_subscriber(topic)]
         if not wanted:
             return
-        message, body = encode.encode_frame_info(frame.info), zmq.Frame(bytes(frame.data), track=True, copy=False)
+        message, body = encode.encoded(frame.info), zmq.Frame(bytes(frame.data), track=True, copy=False)
         for topic in wanted:
             if not self._sender.send_frame([topic, message, body]):
                 self._overruns[name] += 1

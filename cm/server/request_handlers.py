@@ -39,7 +39,7 @@ from cm.server.sockets import Loop
 from cm.server.streams.running import Streams
 from cm.server.streams.stream import Frame
 from cm.server.uploads import Uploads
-from cm.wire.encode import encode_config
+from cm.wire.encode import encode_body, encoded
 from cm.wire.messages import requests as rq
 from cm.wire.messages.status import (
     PIXEL_FORMAT,
@@ -52,7 +52,7 @@ from cm.wire.messages.status import (
     Status,
     StreamStatus,
 )
-from cm.wire.protobuf_messages import encode_values, encoded_registers
+from cm.wire.protobuf_messages import encoded_registers
 
 CHANGES_EACH = QUEUE_LENGTH - 1  # of one user, beside the one that runs: the last two are for others
 _OPERATE = Role.OPERATE  # looking it up in the enum's class takes time
@@ -161,7 +161,7 @@ def _by_pieces(work: ReadPieces | WritePieces, tell: Callable[[RegValues], objec
     try:
         while not ended:
             ended = work.step()
-            parts.append(encode_values(work.newest))
+            parts.append(encoded(RegValues(tuple(work.newest))))
             if not ended:
                 yield None
     except Exception:
@@ -200,7 +200,7 @@ def read_config(s: Services, asked: Asked, request: rq.ReadConfig) -> Reply | No
 
     if not is_long(manager.configs.get(request.config_name or manager.state.config or "")):
         return Reply(described())
-    s.read_files(asked, lambda: encode_config(described()), lambda made: Reply(encoded=made))
+    s.read_files(asked, lambda: encode_body(described()), lambda made: Reply(encoded=made))
     return None
 
 

@@ -20,7 +20,7 @@ from cm.server.client_process import Peer
 from cm.server.connections import Connections
 from cm.server.devices import BoardDevices
 from cm.server.sockets import Loop
-from cm.wire.encode import encode_table
+from cm.wire.encode import encoded
 from cm.wire.plane_packets import Open, Purpose, WindowPages, encode_refused, encode_revoked, encode_window
 
 _LOG = logging.getLogger("cm")
@@ -78,7 +78,7 @@ class OpenWindows:
         self._watch()
         table = os.memfd_create("cm-registers", os.MFD_CLOEXEC)
         try:
-            os.write(table, encode_table(loan.info))
+            os.write(table, encoded(loan.info))
             place = loan.place
             names = loan.status.region, place.module, place.config.name, place.mode, loan.lease
             packet = encode_window(WindowPages(place.address, place.length, writes, *names))

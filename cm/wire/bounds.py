@@ -61,14 +61,9 @@ def _check(topic: str, message: Message) -> None:
             check_count(topic, field.name, len(value), FILES if field.name == "files" else ENTRIES)
         for part in (value,) if one else value:
             if isinstance(part, str):
-                _check_text(topic, field.name, part)
+                check_text(topic, field.name, part)
             elif isinstance(part, Message):
                 _check(topic, part)
-
-
-def check_lease(topic: str, lease: str) -> None:
-    """Raise NameTooLong."""
-    _check_text(topic, "lease", lease)
 
 
 def check_count(topic: str, what: str, count: int, most: int = ENTRIES) -> None:
@@ -77,7 +72,8 @@ def check_count(topic: str, what: str, count: int, most: int = ENTRIES) -> None:
         raise TooMany(f"{topic}: {count} {what}; one request has {most} at most: send several")
 
 
-def _check_text(topic: str, field: str, text: str) -> None:
+def check_text(topic: str, field: str, text: str) -> None:
+    """Raise NameTooLong."""
     most = _LIMITS.get(field, NAME_BYTES)
     if len(text.encode()) > most:
         raise NameTooLong(f"{topic}: {field} has {len(text.encode())} bytes ({text[:32]!r}…); {most} at most")

@@ -16,9 +16,11 @@ from cm.wire import cm_pb2 as pb
 from cm.wire import protobuf_messages, topics
 from cm.wire.messages import requests as rq
 from cm.wire.messages import status as st
+from cm.wire.protobuf_messages import CODECS, kind_of, message_of
 from cm.wire.request_table import BY_KIND
 
 Frame = bytes | memoryview
+_D = TypeVar("_D")
 _M = TypeVar("_M", bound=Message)
 _REPEATED = 16  # writes of a request that is likely to come again
 
@@ -31,6 +33,17 @@ def parsed(kind: type[_M], data: bytes) -> _M:
         raise InvalidRequest(f"the payload is not a valid {kind.__name__} message ({problem})") from problem
 
 
+def encoded(data: Any) -> bytes:
+    """A message by itself, of any class of `cm.wire.messages.status`."""
+    return bytes(CODECS[type(data)].to_pb(data).SerializeToString())
+
+
+def decoded(kind: type[_D], data: bytes) -> _D:
+    """The inverse of `encoded`. Raises InvalidRequest."""
+    read: _D = CODECS[kind].from_pb(parsed(message_of(kind), data))
+    return read
+
+
 def encode_request(request: rq.Request) -> list[Frame]:
     """A request → ``[topic][message][payload…]``. Raises InvalidRequest for what no message can hold."""
     row = BY_KIND[type(request)]
@@ -40,12 +53,9 @@ def encode_request(request: rq.Request) -> list[Frame]:
         raise
     except (TypeError, ValueError, OverflowError) as error:  # protobuf's: wrong types, numbers out of range, half pairs
         said = _wrong_type(request) or _out_of_range(row.twin, request) or error
-        raise InvalidRequest(f"{type(request).__name__}{_whose(request)}: {said}") from None
-
-
-def _whose(request: rq.Request) -> str:
-    named = getattr(request, "stream", "") or getattr(request, "name", "")
-    return f" of {named!r}" if isinstance(named, str) and named else ""
+        name = getattr(request, "stream", "") or getattr(request, "name", "")
+        whose = f" of {name!r}" if isinstance(name, str) and name else ""
+        raise InvalidRequest(f"{type(request).__name__}{whose}: {said}") from None
 
 
 _KINDS: dict[str, tuple[str, Callable[[Any], object]]] = {  # by annotation: what it is called, and what refuses others
@@ -98,22 +108,11 @@ def _out_of_range(twin: Any, data: Any) -> str:
     return ""
 
 
-_BODIES: dict[type, tuple[str, Any]] = {  # of a reply: the field of Reply, and what makes it and reads it
-    st.Status: ("status", protobuf_messages.STATUS),
-    st.ConfigInfo: ("config", protobuf_messages.CONFIG),
-    st.RegValues: ("registers", protobuf_messages.REGISTERS),
-    st.FrameInfo: ("frame", protobuf_messages.FRAME),
-    st.PlanInfo: ("plan", protobuf_messages.PLAN),
-    st.LeaseInfo: ("lease", protobuf_messages.LEASE),
-    st.ChangeInfo: ("change", protobuf_messages.CHANGE),
-    st.Irq: ("irq", protobuf_messages.IRQ),
-    st.UploadInfo: ("upload", protobuf_messages.UPLOADED),
-    st.RegionCheck: ("region", protobuf_messages.CHECK),
-    st.RegionMap: ("region_map", protobuf_messages.MAP),
-    st.MemoryInfo: ("memory", protobuf_messages.MEMORY),
-    st.StreamStatus: ("stream", protobuf_messages.STREAM),
-}
-_FROM_FIELD = {field: codec.from_pb for field, codec in _BODIES.values()}
+_BODIES: dict[type, tuple[str, Any]] = {}  # of a reply: the field of Reply, and what makes it and reads it
+for _field in pb.Reply.DESCRIPTOR.oneofs_by_name["body"].fields:
+    _message: Any = _field.message_type
+    _BODIES[kind_of(_message.name)] = _field.name, CODECS[kind_of(_message.name)]
+_FROM_FIELD = {field: its.from_pb for field, its in _BODIES.values()}
 
 
 def encode_reply(topic: bytes, reply: st.Reply, sequence: int | None = None) -> list[Frame]:
@@ -130,7 +129,7 @@ def encode_reply(topic: bytes, reply: st.Reply, sequence: int | None = None) -> 
         else:  # of a read
             encoded = _read_registers(body)
     else:
-        encoded = _body(body)
+        encoded = encode_body(body)
     return [topic, begin + encoded, *reply.payload]
 
 
@@ -144,38 +143,24 @@ def _well(sequence: int) -> bytes:
 
 @lru_cache(64)
 def _read_registers(values: st.RegValues) -> bytes:
-    return _body(values)
+    return encode_body(values)
 
 
 def _refused(error: st.ErrorInfo, sequence: int) -> bytes:
     return pb.Reply(error=protobuf_messages.ERROR.to_pb(error), sequence=sequence).SerializeToString()
 
 
-def _body(body: Any) -> bytes:
+def encode_body(body: Any) -> bytes:
+    """As `st.Reply.encoded`: a long one takes more time than a request may in one go."""
     message = pb.Reply()
     if isinstance(body, st.RegValues):
         protobuf_messages.registers_into(message.registers, body)
     elif isinstance(body, st.Status):
         message.status.MergeFromString(protobuf_messages.STATUS.encoded(body))
     else:
-        field, codec = _BODIES[type(body)]
-        getattr(message, field).CopyFrom(codec.to_pb(body))
+        field, its = _BODIES[type(body)]
+        getattr(message, field).CopyFrom(its.to_pb(body))
     return message.SerializeToString()
-
-
-def encode_config(info: st.ConfigInfo) -> bytes:
-    """As `st.Reply.encoded`: a long one takes more time than a request may in one go."""
-    return pb.Reply(config=protobuf_messages.CONFIG.to_pb(info)).SerializeToString()
-
-
-def encode_table(info: st.ConfigInfo) -> bytes:
-    """A `Config` message by itself: the registers of a window."""
-    return protobuf_messages.CONFIG.to_pb(info).SerializeToString()
-
-
-def decode_table(data: bytes) -> st.ConfigInfo:
-    """The inverse of `encode_table`. Raises InvalidRequest."""
-    return protobuf_messages.CONFIG.from_pb(parsed(pb.Config, data))
 
 
 def decode_reply(frames: Sequence[Frame]) -> st.Reply:
@@ -207,7 +192,7 @@ def encode_registers(values: st.RegValues) -> list[Frame]:
 
 def encode_irq(irq: st.Irq) -> list[Frame]:
     """An interrupt → the frames published on ``cm_irq``."""
-    return [topics.IRQ, protobuf_messages.IRQ.to_pb(irq).SerializeToString()]
+    return [topics.IRQ, CODECS[st.Irq].to_pb(irq).SerializeToString()]
 
 
 def encode_audit(
@@ -236,25 +221,10 @@ def _asked(request: rq.Request, client: str, account: str, pid: int) -> bytes:
     shown: Any = replace(request, **hidden)
     topic, message, *_ = encode_request(shown)
     audit = st.Audit(type(request).__name__, bytes(topic).decode(), bytes(message), client, account, pid, 0)
-    return bytes(protobuf_messages.AUDIT.to_pb(audit).SerializeToString())
+    return encoded(audit)
 
 
 _asked_again = lru_cache(64)(_asked)  # as decoded requests are kept
-
-
-def encode_frame_info(info: st.FrameInfo) -> bytes:
-    """The message beside a frame's payload."""
-    return bytes(protobuf_messages.FRAME.to_pb(info).SerializeToString())
-
-
-def decode_plan(data: bytes) -> st.PlanInfo:
-    """A Plan message. Raises InvalidRequest."""
-    return protobuf_messages.PLAN.from_pb(parsed(pb.Plan, data))
-
-
-def decode_registers(data: bytes) -> st.RegValues:
-    """A RegValues message. Raises InvalidRequest."""
-    return protobuf_messages.registers_from_pb(parsed(pb.RegValues, data))
 
 
 Event = st.Status | st.RegValues | st.Irq | st.FrameInfo | st.Audit
@@ -274,11 +244,12 @@ def decode_event(frames: Sequence[Frame]) -> Event:
 
 
 _EVENTS: dict[bytes, tuple[type[Message], Callable[[Any], Any]]] = {
-    topics.STATUS: (pb.Status, protobuf_messages.STATUS.from_pb),
-    topics.READ_REG: (pb.RegValues, protobuf_messages.registers_from_pb),
-    topics.IRQ: (pb.Irq, protobuf_messages.IRQ.from_pb),
-    topics.AUDIT: (pb.Audit, protobuf_messages.AUDIT.from_pb),
-    topics.READ_DATA: (pb.Frame, protobuf_messages.FRAME.from_pb),
-    topics.DATA_READ: (pb.Frame, protobuf_messages.FRAME.from_pb),
-    b"cm_stream": (pb.Frame, protobuf_messages.FRAME.from_pb),
+    topic: (message_of(kind), CODECS[kind].from_pb)
+    for topic, kind in {
+        topics.STATUS: st.Status,
+        topics.READ_REG: st.RegValues,
+        topics.IRQ: st.Irq,
+        topics.AUDIT: st.Audit,
+        **dict.fromkeys((topics.READ_DATA, topics.DATA_READ, b"cm_stream"), st.FrameInfo),
+    }.items()
 }

@@ -49,5 +49,5 @@ def _in_slices(message: bytes) -> Generator[None, None, WriteReg]:
             yield
     if not made:
         raise InvalidRequest("cm_write_reg: no register is named; writes must hold at least one")
-    bounds.check_lease("cm_write_reg", m.lease)
+    bounds.check_text("cm_write_reg", "lease", m.lease)
     return WriteReg(tuple(made), m.lease)

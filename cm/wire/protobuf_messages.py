@@ -7,12 +7,14 @@ Data and message have fields of the same names, so that for most of them it is e
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
 from operator import attrgetter
 from typing import Any, Generic, TypeVar
 
 from google.protobuf.message import Message
 
 from cm.wire import cm_pb2 as pb
+from cm.wire.messages import _proto
 from cm.wire.messages import status as st
 
 _D = TypeVar("_D")
@@ -121,56 +123,43 @@ class _PrMode:
         return cls._all[number] if 0 <= number < len(cls._all) else st.PrMode.ERROR
 
 
-ERROR = Twin(st.ErrorInfo, pb.Error)
-FRAME = Twin(st.FrameInfo, pb.Frame, [*st.FrameInfo.__annotations__][:-1])  # but for `lost`, which is the reader's
-LEASE = Twin(st.LeaseInfo, pb.Lease)
-CHANGE = Twin(st.ChangeInfo, pb.Change)
-IRQ = Twin(st.Irq, pb.Irq)
-AUDIT = Twin(st.Audit, pb.Audit, error=ERROR)
-UPLOADED = Twin(st.UploadInfo, pb.Upload, renamed={"got": "offset"})
-MEMORY = Twin(st.MemoryInfo, pb.MemoryInfo)
-STREAM = Twin(st.StreamStatus, pb.StreamState, clients=Twin(st.StreamClient, pb.StreamClient), last_error=ERROR)
-_WRONG = Twin(st.FrameError, pb.FrameError)
-CHECK = Twin(st.RegionCheck, pb.RegionCheck, wrong=_WRONG)
-MAP = Twin(st.RegionMap, pb.RegionMap, columns=Twin(st.RegionColumn, pb.RegionColumn), wrong=_WRONG)
-_CLOCK = Twin(st.ClockStatus, pb.ClockState)
-PLAN = Twin(st.PlanInfo, pb.Plan, steps=Twin(st.PlanStep, pb.PlanStep), clocks=_CLOCK)
-CONFIG = Twin(
-    st.ConfigInfo,
-    pb.Config,
-    modes=Twin(st.ModeInfo, pb.ModeInfo),
-    registers=Twin(st.RegisterInfo, pb.RegisterInfo, fields=Twin(st.FieldInfo, pb.FieldInfo, values=_NamedValue)),
-    interrupts=Twin(st.InterruptInfo, pb.InterruptInfo),
-    streams=STREAM,
-    memories=MEMORY,
-    entries=Twin(st.ConfigEntry, pb.ConfigEntry),
-    blocks=Twin(st.BlockInfo, pb.BlockInfo),
-)
+def _parts(kind: type) -> dict[str, Any]:
+    """How those fields of a class are written that are data themselves, by what its annotations say."""
+    found: dict[str, Any] = {"pr_mode": _PrMode} if kind is st.Status else {}
+    for name, hint in kind.__annotations__.items():
+        one = str(hint).removeprefix("tuple[").removesuffix(", ...]").removesuffix(" | None")
+        if one in _proto.__all__ and name not in found:
+            found[name] = twin(getattr(_proto, one))
+        elif one == "tuple[str, int]":
+            found[name] = _NamedValue
+    return found
 
+
+def message_of(kind: type) -> type[Message]:
+    """The message that a class was made of."""
+    found: type[Message] = getattr(pb, _proto.MESSAGES.get(kind.__name__, kind.__name__))
+    return found
+
+
+@cache
+def twin(kind: type[_D]) -> Twin[_D, Any]:
+    """Of a class that was made of a message: without the fields that this does not have."""
+    message = message_of(kind)
+    there = message.DESCRIPTOR.fields_by_name
+    return Twin(kind, message, [name for name in kind.__annotations__ if name in there], **_parts(kind))
+
+
+ERROR: Twin[st.ErrorInfo, Any] = twin(st.ErrorInfo)
 
 _LASTING = ("configs", "streams", "sensors", "clocks", "version", "started_ns", "board")
 _SELDOM = ("regions", "clients", "windows", "changes", "writes")
-_OF_STATUS: dict[str, Any] = {
-    "pr_mode": _PrMode,
-    "progress": Twin(st.Progress, pb.Progress),
-    "last_error": ERROR,
-    "regions": Twin(st.RegionStatus, pb.RegionState, health=Twin(st.RegionHealth, pb.RegionHealth)),
-    "streams": STREAM,
-    "clocks": _CLOCK,
-    "sensors": Twin(st.SensorStatus, pb.SensorState),
-    "leases": Twin(st.LeaseStatus, pb.LeaseState),
-    "clients": Twin(st.ClientStatus, pb.ClientState),
-    "windows": Twin(st.WindowStatus, pb.WindowState),
-    "changes": Twin(st.PastChange, pb.PastChange, error=ERROR, steps=Twin(st.StepTaken, pb.StepTaken)),
-    "writes": Twin(st.PastWrite, pb.PastWrite),
-}
 
 
 class _KeptPart:
     """Some fields of a status, encoded; kept as long as what is in them stays."""
 
     def __init__(self, *names: str) -> None:
-        self._twin = Twin(st.Status, pb.Status, names, **_OF_STATUS)
+        self._twin = Twin(st.Status, pb.Status, names, **_parts(st.Status))
         self._last: tuple[Any, bytes] = (None, b"")
 
     def encoded(self, status: st.Status) -> bytes:
@@ -189,10 +178,11 @@ class _StatusTwin(Twin[st.Status, pb.Status]):
     """
 
     def __init__(self) -> None:
-        super().__init__(st.Status, pb.Status, **_OF_STATUS)
+        parts = _parts(st.Status)
+        super().__init__(st.Status, pb.Status, **parts)
         self._lasting, self._seldom = _KeptPart(*_LASTING), _KeptPart(*_SELDOM)
         passing = [name for name in st.Status.__annotations__ if name not in _LASTING + _SELDOM]
-        self._passing = Twin(st.Status, pb.Status, passing, **_OF_STATUS)
+        self._passing = Twin(st.Status, pb.Status, passing, **parts)
 
     def encoded(self, status: st.Status) -> bytes:
         """The bytes of the message."""
@@ -213,11 +203,6 @@ class EncodedRegisters(st.RegValues):
     """Values of which `encoded` are the bytes: made some at a time where they are many."""
 
     encoded: bytes
-
-
-def encode_values(values: Sequence[st.RegValue]) -> bytes:
-    """Some of a message's values; such parts, one behind the other, are those of all."""
-    return registers_to_pb(st.RegValues(tuple(values))).SerializeToString()
 
 
 def encoded_registers(r: st.RegValues, parts: Iterable[bytes]) -> st.RegValues:
@@ -255,4 +240,19 @@ class _Registers:
     to_pb, from_pb = staticmethod(registers_to_pb), staticmethod(registers_from_pb)
 
 
-REGISTERS = _Registers
+_OURS = {theirs: ours for ours, theirs in _proto.MESSAGES.items()}
+
+
+def kind_of(message: str) -> type:
+    """The class that was made of a message, by its name."""
+    kind: type = getattr(_proto, _OURS.get(message, message))
+    return kind
+
+
+class _Codecs(dict[type, Any]):
+    def __missing__(self, kind: type) -> Any:
+        self[kind] = twin(kind)
+        return self[kind]
+
+
+CODECS = _Codecs({st.Status: STATUS, st.RegValues: _Registers})  # what makes a message of data, and data of a message

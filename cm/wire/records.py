@@ -13,10 +13,12 @@ from google.protobuf.message import DecodeError
 
 from cm.errors import InvalidRequest
 from cm.wire import cm_pb2 as pb
-from cm.wire import protobuf_messages
+from cm.wire.messages.status import Clock as Clock
 from cm.wire.messages.status import FrameInfo
+from cm.wire.messages.status import Gap as Gap
+from cm.wire.protobuf_messages import CODECS, kind_of, twin
 
-LOST = ("disk_full", "disk_error", "too_slow", "manager_gone", "recorder_ended", "damaged")  # Gap.cause
+FRAME = twin(FrameInfo)
 
 
 def descriptor_set() -> bytes:
@@ -26,20 +28,9 @@ def descriptor_set() -> bytes:
     return described.SerializeToString()
 
 
-def encode_clock(monotonic_ns: int, realtime_ns: int) -> bytes:
-    """A Clock."""
-    return pb.Clock(monotonic_ns=monotonic_ns, realtime_ns=realtime_ns).SerializeToString()
-
-
-def encode_gap(gap: Gap) -> bytes:
-    """A Gap."""
-    assert gap.cause in LOST, gap.cause
-    return pb.Gap(**gap._asdict()).SerializeToString()
-
-
 def encode_frame_seen(info: FrameInfo, kept: bool, sha256: bytes) -> bytes:
     """A FrameSeen."""
-    return pb.FrameSeen(frame=protobuf_messages.FRAME.to_pb(info), kept=kept, sha256=sha256).SerializeToString()
+    return pb.FrameSeen(frame=FRAME.to_pb(info), kept=kept, sha256=sha256).SerializeToString()
 
 
 def begin_bytes(number: int, length: int) -> bytes:
@@ -86,25 +77,6 @@ def encode_raw_image(time_ns: int, **fields: Any) -> bytes:
 # ---- read ------------------------------------------------------------------------------------
 
 
-class Clock(NamedTuple):
-    """What both clocks of the manager's machine said at one moment."""
-
-    monotonic_ns: int
-    realtime_ns: int
-
-
-class Gap(NamedTuple):
-    """What is missing of a topic (empty: of all), and why; times are the record's. 0 messages or bytes: not known."""
-
-    topic: str
-    from_ns: int
-    until_ns: int
-    messages: int = 0
-    bytes: int = 0
-    cause: str = ""
-    text: str = ""
-
-
 class FrameSeen(NamedTuple):
     """A frame that came; its data follow where they were kept."""
 
@@ -114,14 +86,11 @@ class FrameSeen(NamedTuple):
 
 
 _OURS: Mapping[str, tuple[Any, Callable[[Any], Any]]] = {
-    "Status": (pb.Status, protobuf_messages.STATUS.from_pb),
-    "Config": (pb.Config, protobuf_messages.CONFIG.from_pb),
-    "RegValues": (pb.RegValues, protobuf_messages.registers_from_pb),
-    "Irq": (pb.Irq, protobuf_messages.IRQ.from_pb),
-    "Audit": (pb.Audit, protobuf_messages.AUDIT.from_pb),
-    "Clock": (pb.Clock, lambda m: Clock(m.monotonic_ns, m.realtime_ns)),
-    "Gap": (pb.Gap, lambda m: Gap(*[getattr(m, name) for name in Gap._fields])),
-    "FrameSeen": (pb.FrameSeen, lambda m: FrameSeen(protobuf_messages.FRAME.from_pb(m.frame), m.kept, m.sha256)),
+    **{
+        name: (getattr(pb, name), CODECS[kind_of(name)].from_pb)
+        for name in ("Status", "Config", "RegValues", "Irq", "Audit", "Clock", "Gap")
+    },
+    "FrameSeen": (pb.FrameSeen, lambda m: FrameSeen(FRAME.from_pb(m.frame), m.kept, m.sha256)),
     "FrameData": (pb.FrameData, lambda m: m.data),
 }
 

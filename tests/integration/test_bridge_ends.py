@@ -17,7 +17,7 @@ from manager_process import Manager, served, until
 from cm.networks.fleet.bundles import described, where
 from cm.networks.fleet.zenoh_session import Network, session
 from cm.simulation.software import Board as SimBoard
-from cm.wire.fleet import encode_fetch
+from cm.wire.encode import encoded
 
 pytest.importorskip("zenoh")
 pytest.importorskip("xxhash")
@@ -191,7 +191,7 @@ def test_a_fleets_bridge_ends_while_it_fetches_an_archive(met: tuple[FleetBoard,
     offer = there.declare_queryable(where("*"), held.put)
     archive = tmp_path / "a"
     archive.write_bytes(bytes(2 << 20))
-    _ask(there, "cm/b1/do/bundle/anna", encode_fetch(described(archive)))
+    _ask(there, "cm/b1/do/bundle/anna", encoded(described(archive)))
     query = held.get(timeout=PATIENCE)  # and not answered
     _member_ended_by_sigterm(board)
     board.bridge.process = None

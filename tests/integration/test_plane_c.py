@@ -18,7 +18,7 @@ from manager_process import REPOSITORY, Manager, until
 import cm
 from cm.simulation.software import Board as SimBoard
 from cm.simulation.software.hardware import camera
-from cm.wire.encode import encode_table
+from cm.wire.encode import encoded
 from cm.wire.messages.status import ConfigInfo, FieldInfo, RegisterInfo
 
 TOOLS = ("make", "cc", "pkg-config")
@@ -345,5 +345,5 @@ def test_what_names_of_registers_and_fields_lead_to(installed: Path, tmp_path: P
         "contro": str(errno.ENOENT),
         "": str(errno.ENOENT),
     }
-    asked = subprocess.run([program, *names], input=encode_table(TABLE), check=True, capture_output=True)
+    asked = subprocess.run([program, *names], input=encoded(TABLE), check=True, capture_output=True)
     assert dict(zip(names, asked.stdout.decode().splitlines(), strict=True)) == names

@@ -42,7 +42,7 @@ from cm.networks.fleet.store import (
 from cm.networks.fleet.zenoh_session import Network, closed, from_environment, metadata_of, session
 from cm.wire import fleet as wire
 from cm.wire import topics
-from cm.wire.encode import decode_event, decode_plan, decode_registers, decode_reply, encode_request
+from cm.wire.encode import decode_event, decode_reply, decoded, encode_request, encoded
 from cm.wire.messages.fleet import BoardStatus, BundleState, Decision, FleetState, FleetStep, Policy
 from cm.wire.messages.status import ErrorInfo, FrameInfo, PlanInfo, RegValues
 
@@ -184,12 +184,12 @@ class Fleet:
         """
         words = f"config?plan={mode}" + (f";config={config}" if config else "")
         found = await self._each(words, boards, max(self.timeout, 30.0))
-        return {n: a.error or decode_plan(a.payload) for n, a in found.items()}
+        return {n: a.error or decoded(PlanInfo, a.payload) for n, a in found.items()}
 
     async def read(self, register: str, boards: str | Iterable[str] = ALL) -> dict[str, RegValues | ErrorInfo]:
         """A register, or ``register.field``, of each board. Raises NoSuchBoard, InvalidRequest (a name with ``/``)."""
         found = await self._each(f"reg/{keys.check(register, 'register')}", boards)
-        return {n: a.error or decode_registers(a.payload) for n, a in found.items()}
+        return {n: a.error or decoded(RegValues, a.payload) for n, a in found.items()}
 
     @asynccontextmanager
     async def watch(self, boards: str = "*") -> AsyncIterator[AsyncIterator[tuple[str, BoardStatus | None]]]:
@@ -344,7 +344,7 @@ class Fleet:
         (another change is open there), FleetRefused (nothing was touched), ChangeFailed (not every named board is
         there; its course names each). If this is cancelled or killed at any moment, boards go on by themselves.
         """
-        rule = wire.policy(policy)
+        rule = Policy.of(policy)
         absent = absent or ("refuse" if rule is Policy.ALL else "go-on")
 
         def choose(known: Mapping[str, View]) -> tuple[tuple[str, ...], dict[str, ErrorInfo]]:
@@ -388,7 +388,7 @@ class Fleet:
         self, timeout: float, boards: Iterable[str], verb: str, step: FleetStep
     ) -> AsyncIterator[tuple[str, FleetState | ErrorInfo]]:
         """A step of each board, which may be asked twice for it: nothing is done twice."""
-        command, message = keys.command(verb, self.caller), wire.encode_step(step)
+        command, message = keys.command(verb, self.caller), encoded(step)
         async for answer in self._answers(command, boards, message, timeout=timeout):
             yield answer.board, queries.said(answer, FleetState)
 
@@ -412,7 +412,7 @@ class Fleet:
         chosen = await self.meant(boards)
         with bundles.offered(self.session, path, bundle) as sent:
             telling = asyncio.create_task(_each_second(lambda: tell and tell(sent(), len(chosen) * bundle.length)))
-            command, message = keys.command("bundle", self.caller), wire.encode_fetch(bundle)
+            command, message = keys.command("bundle", self.caller), encoded(bundle)
             try:
                 found = [a async for a in self._answers(command, chosen, message, timeout=timeout)]
             finally:

@@ -9,6 +9,7 @@ from typing import Any
 
 from cm.networks.bridge.records import ConfigRecord, FrameRecord, StreamFormat
 from cm.networks.ros.transport import Values
+from cm.wire.messages.json_values import plain
 from cm.wire.messages.status import Irq, PlanInfo, RegValues, Status, place
 from cm.wire.records import Gap
 
@@ -143,7 +144,7 @@ def diagnostics(node: str, now: Status | None, problem: str, stamp_ns: int) -> V
 
 def gap(board: str, missing: Gap) -> Values:
     """diagnostic_msgs/DiagnosticArray: what a record does not have."""
-    row = _row(_ERROR, "cm record: gap", missing.text, board, missing._asdict())
+    row = _row(_ERROR, "cm record: gap", missing.text, board, plain(missing))
     return {"header": header(missing.until_ns), "status": [row]}
 
 

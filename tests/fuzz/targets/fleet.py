@@ -19,7 +19,8 @@ from cm.networks.fleet.bridge.query_answers import Queries
 from cm.networks.fleet.reconciling_board import Board, Notes, Part, Place, Planned, Seen
 from cm.networks.fleet.store import Claim, Entry, Wanted, packed
 from cm.wire import cm_pb2 as pb
-from cm.wire.fleet import encode_answer, encode_fetch, encode_step
+from cm.wire.encode import encoded
+from cm.wire.fleet import encode_answer
 from cm.wire.messages.fleet import FetchBundle, FleetStep
 from cm.wire.messages.status import ErrorInfo
 
@@ -98,8 +99,8 @@ class _Query:
 
 
 def seeds() -> list[bytes]:
-    step = encode_step(FleetStep("c1", "camera", "edge", 4))
-    fetch = encode_fetch(FetchBundle("0" * 64, 5, "a.tar.gz"))
+    step = encoded(FleetStep("c1", "camera", "edge", 4))
+    fetch = encoded(FetchBundle("0" * 64, 5, "a.tar.gz"))
     verbs = ("prepare", "apply", "reconcile")
     found = [[f"cm/b1/do/{verb}/anna".encode(), b"", step, b""] for verb in verbs]
     found += [

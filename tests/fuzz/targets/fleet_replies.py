@@ -45,6 +45,6 @@ def one(data: bytes) -> None:
     with suppress(CmError):
         answer = wire.decode_answer(data)
         assert isinstance(answer, RegValues) or wire.decode_answer(wire.encode_answer(answer)) is not None
-    for read in (wire.body, wire.each_register, wire.irq_name, wire.glance, wire.decode_fetch, wire.decode_step):
+    for read in (wire.body, wire.each_register, wire.glance, wire.decode_fetch, wire.decode_step):
         with suppress(CmError):
             read(data)

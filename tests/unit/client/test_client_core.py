@@ -18,7 +18,7 @@ from cm.client.core.generations import FirstAfter, Written
 from cm.client.core.remote_stream import Arrivals, NewestReader, PublishedReader, Wanted
 from cm.client.errors import RequestBusy, RequestInvalid, request_error
 from cm.errors import InvalidRequest, Timeout
-from cm.wire.encode import encode_frame_info, encode_irq, encode_registers, encode_status
+from cm.wire.encode import encode_irq, encode_registers, encode_status, encoded
 from cm.wire.messages import requests as rq
 from cm.wire.messages import status as told
 from cm.wire.messages.status import ChangeInfo, ErrorInfo, Progress, Reply, Status
@@ -366,7 +366,7 @@ def test_a_change_that_was_not_waited_for_ends_with_the_status_that_says_so() ->
 
 def published(stream: str, sequence: int) -> list[Any]:
     info = told.FrameInfo(stream, sequence, 5, 6, (2, 3))
-    return [b"cm_stream/" + stream.encode(), encode_frame_info(info), b"abcdef"]
+    return [b"cm_stream/" + stream.encode(), encoded(info), b"abcdef"]
 
 
 def test_published_frames_are_subscribed_to_and_those_that_are_missing_are_counted() -> None:
@@ -410,7 +410,7 @@ def test_pixels_come_in_rgb_or_as_they_lie_in_memory(raw: bool, seen: list[int])
     info = told.FrameInfo("camera", 4, 5, 3, (1, 1, 3), format="bgr")
     asked: Any = next(NewestReader(Wanted("camera", None, newest=True, raw=raw)).reading(None))
     assert asked.call.result(Reply(info, payload=(b"\1\2\3",))).tolist() == [[seen]]
-    message = [b"cm_stream/camera", encode_frame_info(info), b"\1\2\3"]
+    message = [b"cm_stream/camera", encoded(info), b"\1\2\3"]
     reader = PublishedReader(Wanted("camera", None, raw=raw), lambda *_: Listened())
     assert went(reader.reading(None), STREAM, message)[0].tolist() == [[seen]]
 
@@ -450,7 +450,7 @@ def test_what_is_no_generation_is_refused(write: Any) -> None:
 
 
 def test_what_is_no_frame_on_its_topic_is_refused() -> None:
-    half = [b"cm_stream/camera", encode_frame_info(told.FrameInfo("camera", 4, 5, 6, (2, 3)))]
+    half = [b"cm_stream/camera", encoded(told.FrameInfo("camera", 4, 5, 6, (2, 3)))]
     for message, words in (
         (half, "FrameInfo in 2 parts came on a stream's topic"),
         (message_of_another_kind(), "Status in 3 parts came on a stream's topic"),

@@ -14,6 +14,8 @@ from cm.networks.fleet import keys
 from cm.networks.fleet.zenoh_session import in_loop, zenoh_module
 from cm.wire import fleet as wire
 from cm.wire import topics
+from cm.wire.encode import decoded
+from cm.wire.messages.status import Irq
 
 BEAT = 1.0  # seconds after which a status that has not changed is published again
 _WAITING = 4  # frames that wait here for a slow network; further ones are lost
@@ -74,7 +76,7 @@ class Publications:
             for name, value in wire.each_register(message):
                 self._put(f"reg/{name}", "RegValues", partial(bytes, value))
         elif topic == topics.IRQ:
-            self._put(f"irq/{wire.irq_name(message)}", "Irq", lambda: message)
+            self._put(f"irq/{decoded(Irq, message).name}", "Irq", lambda: message)
 
     def _put(self, rest: str, kind: str, message: Callable[[], bytes]) -> None:
         if rest not in self._publishers:

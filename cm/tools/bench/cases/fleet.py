@@ -198,7 +198,7 @@ async def _in_turns(local: LocalFleet, bench: Run, client: float) -> dict[str, f
     from cm.networks.fleet.keeper import opened_store
     from cm.networks.fleet.store import Entry
     from cm.networks.fleet.zenoh_session import Network
-    from cm.wire.fleet import encode_step
+    from cm.wire.encode import encoded
     from cm.wire.messages.fleet import FleetState, FleetStep
 
     found: dict[str, list[float]] = {}
@@ -214,7 +214,7 @@ async def _in_turns(local: LocalFleet, bench: Run, client: float) -> dict[str, f
             ) -> AsyncIterator[tuple[str, Any]]:
                 for board in boards:
                     begun = time.monotonic()
-                    said = queries.said(await fleet.do(verb, board, encode_step(step)), FleetState)
+                    said = queries.said(await fleet.do(verb, board, encoded(step)), FleetState)
                     took.setdefault(verb, []).append(time.monotonic() - begun)
                     if verb == "apply" and isinstance(said, FleetState):
                         took[verb][-1] -= said.seconds
