@@ -6,6 +6,7 @@ Nothing is paired because it is left over: a reset on the wrong clock passes eve
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from types import MappingProxyType
 
@@ -16,6 +17,7 @@ from cm.frozen import dataclass, replace
 _BARE = frozenset(["", "ap", "axi", "axis", "sys"])  # the domains of aclk, ap_clk, axi_aclk
 _AXI_WORDS = frozenset(["axi", "axis", "axil", "s", "m", "lite", "stream"])
 _SIDES = frozenset(["s", "m", "i", "o", "in", "out", "slave", "master"])
+_LAST_N = re.compile(r"n(?=_|$)")
 _PROTOCOL_WORDS = frozenset(
     ["axi", "axis", "axil", "lite", "full", "stream", "bus", "data", "apb", "ahb", "wb", "avalon", "avl"]
 )
@@ -75,7 +77,7 @@ def pair(
     clock or reset; then a bus of the reset's name; then words in common; then being the only clock.
     """
     inputs = [clock.port for clock in clocks if clock.direction is PortDirection.IN]
-    inputs = [port for port in inputs if not port.endswith("_n") or f"{port[:-2]}_p" not in inputs]  # differential
+    inputs = [port for port in inputs if not _inverted(port, inputs)]
     if reset.clock is not None or not inputs or reset.direction is not PortDirection.IN:
         return reset
     stated = [clock.port for clock in clocks if reset.port.lower() in (name.lower() for name in clock.resets)]
@@ -108,6 +110,12 @@ def pair(
     if len(inputs) == 1:
         return replace(reset, clock=inputs[0], why="the only clock")
     return replace(reset, may_be=tuple(inputs))
+
+
+def _inverted(name: str, names: Iterable[str]) -> bool:
+    """Whether it is the second half of a differential pair: `clk_n`, `clk0n_pad` beside the same with a p."""
+    low, others = name.lower(), {other.lower() for other in names}
+    return any(f"{low[: n.start()]}p{low[n.end() :]}" in others for n in _LAST_N.finditer(low))
 
 
 def restated(info: ModuleInfo, stated: Stated) -> ModuleInfo:

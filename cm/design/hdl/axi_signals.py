@@ -73,6 +73,7 @@ def _signals(text: str, direction: PortDirection, *, handshake: bool = False) ->
 _FIXED = {"LEN": (8, 4), "SIZE": (3,), "BURST": (2,), "LOCK": (1, 2), "CACHE": (4,), "PROT": (3,), "QOS": (4,)}
 _FIXED |= {"REGION": (4,), "RESP": (2,)}
 _SPELLED = {"wstrb": ("wstb", "wstrobe")}
+_STREAM_SPELLED = {"TREADY": ("trdy",), "TVALID": ("tvld",)}
 
 
 def _address(channel: str) -> list[Signal]:
@@ -128,6 +129,7 @@ def axis() -> Protocol:
         *_signals("TLAST TVALID", _OUT, handshake=True),
         *_signals("TREADY", _IN, handshake=True),
     ]
+    signals = [replace(signal, spellings=_STREAM_SPELLED.get(signal.name, ())) for signal in signals]
     valid = frozenset({"TVALID"})
     found = make_protocol("axis", signals, (valid,), "xilinx.com:interface:axis:1.0", company=True)
     return replace(found, worth=(valid, frozenset({"TDATA", "TREADY"})), distinct=True)
@@ -160,8 +162,11 @@ def plain_stream() -> Protocol:
         "data": "TDATA",
         "dat": "TDATA",
         "ack": "TREADY",
+        "accept": "TREADY",
         "ready": "TREADY",
         "rdy": "TREADY",
+        "src_rdy": "TVALID",  # LocalLink's, each side ready
+        "dst_rdy": "TREADY",
     }
     spelled |= {"sof": "TUSER", "user": "TUSER", "eof": "TLAST", "last": "TLAST", "keep": "TKEEP"}
     halves = (frozenset({"TDATA", "TVALID"}),)
@@ -187,7 +192,8 @@ def _hls_fifo(name: str, signals: list[tuple[str, PortDirection, str]]) -> Proto
 def other_buses() -> tuple[Protocol, ...]:
     """What shows a bus that is none of a region's, and is named for that: Wishbone B4, AMBA's APB and AHB, Avalon."""
     handshake = make_protocol("a handshake", [*_marks("valid", _OUT), *_marks("ready", _IN)])
-    spelled = {"valid": "valid", "vld": "valid", "ready": "ready", "rdy": "ready"}
+    spelled = dict.fromkeys(("valid", "vld", "val", "src_rdy"), "valid")
+    spelled |= dict.fromkeys(("ready", "rdy", "accept", "dst_rdy"), "ready")
     return (
         make_protocol("Wishbone", [*_marks("cyc stb", _OUT), *_marks("ack", _IN)]),
         make_protocol("Wishbone", _marks("cyc stb", _OUT)),

@@ -40,14 +40,15 @@ _RESET = re.compile(  # first, burst, preset are other words, as is what a trans
 )
 _NOT_RESET = _words(
     "done cnt count busy req rq request ack ok en enable val value active status vector addr count time code data wstb "
-    "stb ival oval mon monitor"
+    "stb ival oval mon monitor detect detected det"
 )
 _HOLDS = _ENABLES | _words("ss ssn nss cs csn csb ncs sel select ce load ld")
 _LOW_WORDS = frozenset(("n", "b", "ni", "na", "bar", "l"))
 _IO_WORDS = frozenset(("i", "o", "in", "out"))
-_INTERRUPT = re.compile(r"[a-z0-9]*?(?:irq|interrupt|intr|intrpt|itrpt|introut|irpt)(?:s|n)?\d*")
+_INTERRUPT = re.compile(r"[a-z0-9]*?(?:irq|interrupt|intr|intrpt|itrpt|introut|irpt|nmi)(?:s|n)?\d*")
 _INT = re.compile(r"int\d*")
-_MAY_INTERRUPT = re.compile(r"int|irq|rpt|ip", re.IGNORECASE)  # few names have one of these
+_INT_OF_SEVERAL = re.compile(r"int[a-d]")
+_MAY_INTERRUPT = re.compile(r"int|irq|rpt|ip|nmi", re.IGNORECASE)  # few names have one of these
 _NUMBERED = re.compile(r"(?:ch|lane|core|hart|port|array|lines?|req|request)\d*")
 # what sets, clears or handles an interrupt, wherever the word stands
 _HANDLES = _words(
@@ -64,7 +65,7 @@ _CAUSES = _words(  # before `int`, which is short for many things, in an input's
     "ext timer tmr cpu core sys hw sw soft dma gpio uart spi i2c eth usb pci pcie phy mac host global periph peripheral"
 )
 # words of a reset's name that say whose it is; any other, beside a plain reset, makes it a control
-_WHOSE = _words("sys core cpu peripheral interconnect axi axis ap por ext aux global glbl hard hw async sync main")
+_WHOSE = _words("sys core cpu peripheral interconnect axi axis ap por ext aux global glbl hard hw async sync main cold warm power")
 
 
 @lru_cache(maxsize=1024)
@@ -90,6 +91,16 @@ def says_clock(name: str) -> bool:
 def is_wire(port: Port) -> bool:
     """Whether a port is an input of one bit."""
     return port.direction is PortDirection.IN and port.width == 1
+
+
+def several(port: Port) -> str:
+    """ "clocks" or "resets" for a vector of inputs whose name ends like one of these."""
+    if port.direction is not PortDirection.IN or not port.width or port.width == 1:
+        return ""
+    last = [word for word in words(port.name) if word not in _IO_WORDS | _LOW_WORDS][-1:]
+    if says_clock(port.name) and any(map(_CLOCK.fullmatch, last)):
+        return "clocks"
+    return "resets" if _says(port.name, _RESET, _NOT_RESET) and any(map(_RESET.fullmatch, last)) else ""
 
 
 def drives_clock(port: Port) -> bool:
@@ -154,6 +165,11 @@ def interrupt_mode(port: Port) -> tuple[Mode, bool] | None:
     return None if mode is None or sure is None or says_clock(port.name) else (mode, sure)
 
 
+def says_interrupt(pin: str) -> bool:
+    """Whether a name is surely that of an interrupt that a module drives."""
+    return _MAY_INTERRUPT.search(pin) is not None and _says_interrupt(words(pin), True, True) is True
+
+
 def _says_interrupt(found: Sequence[str], output: bool, line: bool) -> bool | None:
     """Whether a name is surely an interrupt's; None if nothing in it says so.
 
@@ -167,7 +183,10 @@ def _says_interrupt(found: Sequence[str], output: bool, line: bool) -> bool | No
         if _HANDLES & {*inner} or _OF_INTERRUPT & {*behind[:1]}:
             return None
         return not behind or places[0] == 0
+    inner = inner[:-1] if inner[-1:] in (["n"], ["ni"]) else inner
     last = inner[-1] if inner else ""
+    if line and output and _INT_OF_SEVERAL.fullmatch(last):  # or a processor's INTA, which acknowledges
+        return None if _HANDLES & {*inner} else False
     if line and _INT.fullmatch(last):
         return None if _HANDLES & {*inner} else output or len(inner) == 1 or bool(_CAUSES & {*inner[:-1]})
     return False if line and _LINES & {*inner[-1:]} else None

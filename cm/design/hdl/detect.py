@@ -19,6 +19,7 @@ from cm.design.hdl.clock_reset_names import (
     reset_domains,
     says_else,
     says_what,
+    several,
 )
 from cm.design.hdl.group_ports import Candidate, candidates
 from cm.design.hdl.model import (
@@ -26,6 +27,7 @@ from cm.design.hdl.model import (
     Interface,
     Interrupt,
     Leftover,
+    Mode,
     ModuleClock,
     ModuleInfo,
     Polarity,
@@ -191,7 +193,7 @@ class _Detection:
                 self._take((port.name,))
 
     def _by_name(self, protocol: Protocol, found_by: FoundBy) -> None:
-        for candidate in list(candidates(self._free.values(), protocol)):
+        for candidate in map(self._with_plain, list(candidates(self._free.values(), protocol))):
             verdict = judge(candidate.name or protocol.name, protocol, candidate.ports)
             if verdict.mode is None:
                 self._reject(candidate, verdict.reason)
@@ -240,6 +242,19 @@ class _Detection:
         own = {found.name.lower(), *(f"{found.name.lower()}_{way}" for way in ("i", "o", "in", "out"))}
         data = next((port for port in self._unrejected() if port.name.lower() in own and not is_wire(port)), None)
         return found if data is None or "TDATA" in found.ports else replace(found, ports={**found.ports, "TDATA": data})
+
+    def _with_plain(self, found: Candidate) -> Candidate:
+        """With the signals of a stream that lack its t: `out_tvalid`, `out_tready`, `out_data`."""
+        valid = found.ports.get("TVALID")
+        if valid is None or "TDATA" in found.ports or found.protocol.name != "axis":
+            return found
+        named = {valid.name.lower().replace("tvalid", signal[1:].lower()): signal for signal in found.protocol.signals}
+        more = {
+            named[port.name.lower()]: port
+            for port in self._free.values()
+            if port.name.lower() in named and port.direction is valid.direction and port.name != valid.name
+        }
+        return replace(found, ports={**more, **found.ports}) if "TDATA" in more else found
 
     def _name_others(self) -> None:
         """Name what is a bus of another kind, or a handshake that no bus has."""
@@ -323,6 +338,12 @@ class _Detection:
             or levels[port.name] is Polarity.LOW
             or not (is_control(port.name, names, inputs) or self._sampled(port.name, inputs))
         ]
+        for port in (port for port in named if port not in found):
+            line = f"resets: {{{port.name}: {{polarity: {Polarity(levels[port.name] or Polarity.HIGH).value}}}}}"
+            self._reasons[port.name] = f"{LIKE}a reset of something inside: {line}, if it resets the module"
+        for port in self._unrejected():
+            if what := several(port):
+                self._reasons[port.name] = f"{LIKE}{port.width} {what} side by side: needs a flat wrapper that splits them"
         self._take(port.name for port in found)
         return [Reset(port.name, port.name, levels[port.name]) for port in found]
 
@@ -350,6 +371,8 @@ class _Detection:
             for port in self._unrejected()
             if (said := interrupt_mode(port)) and not _beside(port.name, "int", "ext", names)
         ]
+        told = {port.name for port, _, _ in named}
+        named += [(port, Mode.MASTER, False) for port in self._unrejected() if port.name not in told and self._is_irq(port)]
         for port in (port for port, _, sure in named if not sure):
             line = f"interrupts: [{port.name}] in the module, with all that are, if it is one"
             self._reasons[port.name] = f"{LIKE}an interrupt: {line}"
@@ -359,6 +382,10 @@ class _Detection:
             Interrupt(port.name, port.name, mode, port.width, vivado_attributes.parameters(port).get("SENSITIVITY", ""))
             for port, mode in found
         ]
+
+    def _is_irq(self, port: Port) -> bool:
+        """Whether an output of one bit is at the interrupt of an instance."""
+        return self._use(port.name).interrupt and port.direction is PortDirection.OUT and port.width == 1
 
     def _unrejected(self) -> list[Port]:
         return [port for port in self._free.values() if port.name not in self._reasons]

@@ -6,6 +6,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
+from cm.design.hdl.axi_signals import aximm
 from cm.design.hdl.errors import HdlError
 from cm.design.hdl.extract import Sources
 from cm.design.hdl.flat_wrappers import IN, OUT, Flat, FlatPort, field_name, unique_ports, wrapper_name
@@ -19,7 +20,7 @@ _RECORD = re.compile(r"\btype\s+(\w+)\s+is\s+record\b(.*?)\bend\s+record\b", re.
 _CONTEXT = re.compile(r"\b(?:library\s+[\w\s,]+|use\s+[\w.]+)\s*;", re.IGNORECASE)
 _RANGE = re.compile(r"\brange\s+(.+?)\s+(to|downto)\s+(.+)", re.IGNORECASE | re.DOTALL)
 _STREAM = frozenset(["valid", "ready", "data", "last", "keep", "strobe", "strb", "user", "id", "dest"])
-_SIDE = re.compile(r"(.+)_(?:i|o|in|out)|(?:i|o|in|out)_(.+)", re.IGNORECASE)
+_SIDE = re.compile(r"(.+)_(?:i|o|in|out|[rw][io])|(?:i|o|in|out)_(.+)", re.IGNORECASE)
 _CHANNEL = re.compile(r".*axi.*_(aw|w|b|ar|r|a)(?:_t|_type|_rec)?")
 _BITS = ("std_logic", "std_ulogic", "bit")
 _MAX_DEPTH = 8
@@ -79,9 +80,9 @@ def _records(texts: Iterator[str] | map[str]) -> Iterator[tuple[str, list[tuple[
 
 
 def _buses(ports: Iterable[Declaration], scope: _Scope) -> dict[str, str]:
-    """Record port → its bus, for two records that differ in ``_i`` and ``_o`` only: together they have its signals.
+    """Record port → its bus, for records that differ in ``_i`` and ``_o`` only (``_ri``, ``_ro``: its reading half).
 
-    Two records with a field in common are two buses, of which ``_i`` and ``_o`` are the names.
+    Together they have its signals. Two records with a field in common are two buses, of which ``_i`` and ``_o`` are the names.
     """
     halves: dict[str, list[Declaration]] = {}
     for port in ports:
@@ -90,8 +91,8 @@ def _buses(ports: Iterable[Declaration], scope: _Scope) -> dict[str, str]:
             halves.setdefault((match[1] or match[2]).lower(), []).append(port)
     found: dict[str, str] = {}
     for pair in halves.values():
-        fields = [{path for path, _, _ in _leaves(port.name, (), port.type, scope, 0)} for port in pair]
-        if len(pair) == 2 and {port.mode for port in pair} == {"in", "out"} and not fields[0] & fields[1]:
+        fields = [path for port in pair for path, _, _ in _leaves(port.name, (), port.type, scope, 0)]
+        if {port.mode for port in pair} == {"in", "out"} and len({*fields}) == len(fields):
             match = _SIDE.fullmatch(pair[0].name)
             found |= {port.name: match[1] or match[2] for port in pair if match}
     return found
@@ -104,6 +105,8 @@ def _plain_type(kind: str) -> str:
 def _fields(where: str, port: Declaration, direction: PortDirection, bus: str, scope: _Scope) -> Iterator[FlatPort]:
     leaves = list(_leaves(where, (), port.type, scope, 0))
     channel = _CHANNEL.fullmatch(_plain_type(port.type))  # one channel of AXI alone is no stream: axi_m2s_w_t
+    if channel and channel[1] != "a" and not any(f"{channel[1]}{path[-1]}".lower() in aximm().spelled for path, *_ in leaves):
+        channel = None  # axi_read_r, where r is for record
     stream = channel is None and all(path[-1].lower() in _STREAM and len(path) == 1 for path, _, _ in leaves)
     for path, width, base in leaves:
         name = field_name(bus, (channel[1], *path) if channel and channel[1] != "a" else path, stream)

@@ -205,7 +205,8 @@ class PortUse:
     """What the sources do with a port, as far as they were found (`cm.design.hdl.usage`).
 
     `clock`: registers follow its edges; `reset`: the level at which registers get constants, None if none, or both;
-    `clocks`: ports at whose edges it is used; `constant`: the one, perhaps a generic, that has its level.
+    `clocks`: ports at whose edges it is used; `constant`: the one, perhaps a generic, that has its level; `interrupt`:
+    it is at a pin of that name of an instance.
     """
 
     clock: bool = False
@@ -213,6 +214,7 @@ class PortUse:
     asynchronous: bool = False
     clocks: tuple[str, ...] = ()
     constant: str = ""
+    interrupt: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,13 +15,17 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 
 from cm.design.hdl.associate import best_fit
-from cm.design.hdl.clock_reset_names import clock_domains, says_clock
+from cm.design.hdl.clock_reset_names import clock_domains, says_clock, says_interrupt
 from cm.design.hdl.model import Polarity, PortUse
 from cm.frozen import dataclass, field
 
 Pins = tuple[str, Mapping[str, tuple[str, bool]]]  # an instance's module, and by port: the signal, whether inverted
 _MOST = 64  # copies of copies that are followed
 
+# what is asserted happens at the edges of signals that clock nothing
+_ASSERTED = re.compile(
+    r"\b(?:assert|assume|cover|restrict)\s+property\b[^;]*;|\b(property|sequence)\b.*?\bend\1\b", re.DOTALL
+)
 _BLOCK = re.compile(r"@\s*\((?P<edges>[^()]*\b(?:pos|neg)edge\b[^()]*)\)")
 _NEXT = re.compile(r"\b(?:always\w*|assign|initial|endmodule|generate|endgenerate)\b|\(\s*\.\s*\w+\s*\(|#\s*\(\s*\.")
 _OPENS = re.compile(r"\s*begin\b")
@@ -76,6 +80,7 @@ class Body:
 
 def verilog_body(text: str, instances: Iterable[Pins]) -> Body:
     """The body of a module, from its source without comments."""
+    text = _ASSERTED.sub(" ", text) if "property" in text or "endsequence" in text else text
     steps: dict[str, set[str]] = {}
     resets = []
     for match in _BLOCK.finditer(text):
@@ -160,9 +165,10 @@ class Usage:
 
 def _by_names(pins: tuple[str, ...]) -> Mapping[str, PortUse]:
     """The use of the pins of a module that is not known: one clock, or the one whose name fits better than others."""
-    clocks = tuple(pin for pin in pins if says_clock(pin))
+    divided = next((pin for pin in pins if pin.lower() == "clkdiv"), "")  # a SERDES has all but its pad's side there
+    clocks = tuple(pin for pin in pins if says_clock(pin) or pin == divided)
     domains = {clock: "_".join(words) for clock, words in clock_domains(clocks).items()}
-    fits = {pin: best_fit(pin, domains) if len(clocks) > 1 else clocks[0] for pin in pins if clocks}
+    fits = {pin: divided or (best_fit(pin, domains) if len(clocks) > 1 else clocks[0]) for pin in pins if clocks}
     others = {pin: clock for pin, clock in fits.items() if clock and "clk" not in pin.lower()}  # CLKDIV may be a clock
     used = {pin: PortUse(clocks=(clock,)) for pin, clock in others.items()}
     return used | {clock: PortUse(clock=True) for clock in clocks}
@@ -175,6 +181,7 @@ class _Found:
     asynchronous: bool = False
     clocks: dict[str, None] = field(default_factory=dict)
     constant: str = ""
+    interrupt: bool = False
 
 
 class _Ports:
@@ -208,6 +215,9 @@ class _Ports:
         for name, level, clock, asynchronous in self._body.resets:
             self._reset(name, level, (clock,), asynchronous)
         for module, pins in self._body.instances:
+            for pin, (name, _) in pins.items():
+                if name in self._origin and says_interrupt(pin):
+                    self._at(self._origin[name][0]).interrupt = True
             for pin, use in self._below(module, pins).items():
                 if pin in pins or "*" in pins:
                     self._pin(pins, pin, use)
@@ -218,6 +228,7 @@ class _Ports:
                 found.asynchronous,
                 tuple(clock for clock in found.clocks if clock != port),
                 "" if found.levels else found.constant,
+                found.interrupt,
             )
             for port, found in self._found.items()
         }

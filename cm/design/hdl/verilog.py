@@ -206,7 +206,7 @@ class VerilogReader:
         modules: list[ModuleInfo] = []
         for trees, some in self._groups({name: owners[name][0].path.parent for name in wanted}):
             compilation = self._compile(some, given, trees)
-            found = self._semantic(compilation, below)
+            found = () if self._nested(compilation) else self._semantic(compilation, below)
             for instance in compilation.getRoot().topInstances:
                 tree, inside = owners[instance.name]
                 errors = (*tree.errors, *found)
@@ -235,6 +235,14 @@ class VerilogReader:
                 mine = [tree for tree in self._trees if tree.path.parent == first]
                 yield [*mine, *(tree for tree in others if tree.interfaces or tree.packages)], names
 
+    def _nested(self, compilation: Any) -> bool:
+        """Whether a port is an interface that has another one as a port: slang 12.1 crashes where it checks these."""
+        interfaces = {name for tree in self._trees for name in tree.interfaces}
+        ports = (port for instance in compilation.getRoot().topInstances for port in instance.body.portList)
+        kinds = (port.interfaceDef for port in ports if port.kind.name == "InterfacePort")
+        heads = (str(kind.syntax.header.ports) for kind in kinds if kind is not None and kind.syntax.header.ports)
+        return any(interfaces & {*_NAME.findall(head)} for head in heads)
+
     def _semantic(self, compilation: Any, paths: Iterable[Path]) -> tuple[Problem, ...]:
         """Errors in these files that stop synthesis, once for each place."""
         problems: dict[Problem, None] = {}
@@ -259,7 +267,25 @@ class VerilogReader:
             text = _COMMENTS.sub(" ", str(node))
         except UnicodeDecodeError:  # a comment in another encoding
             return None
-        return verilog_body(text, _pins(node.members)), tuple(_NAME.findall(text.partition(";")[0]))
+        return verilog_body(text, self._pins(node.members)), tuple(_NAME.findall(text.partition(";")[0]))
+
+    def _pins(self, members: Iterable[Any]) -> Iterator[Pins]:
+        """What instances are given at their ports, where that is a signal; "*": the signals of the ports' names."""
+        for member in _instances(members):
+            order = _order(self._nodes.get(member.type.valueText))
+            for instance in member.instances[::2]:  # every second one is a comma
+                pins: dict[str, tuple[str, bool]] = {}
+                for place, connection in enumerate(instance.connections[::2]):
+                    kind = connection.kind.name
+                    if kind == "WildcardPortConnection":
+                        pins["*"] = ("", False)
+                        continue
+                    named = kind == "NamedPortConnection"
+                    name = connection.name.valueText if named else order[place] if place < len(order) else ""
+                    inner = str(connection.expr).strip() if getattr(connection, "expr", None) is not None else name
+                    match = _SIGNAL.fullmatch(inner)
+                    pins |= {name: (match[2], match[1] != "")} if match and name else {}
+                yield member.type.valueText, pins
 
     def elaborate(self, name: str, parameters: Mapping[str, str]) -> Any:
         """slang's body of a module as a top, with `parameters` as expressions. Raises `HdlError`."""
@@ -310,21 +336,11 @@ def _instances(members: Iterable[Any]) -> Iterator[Any]:
             stack.extend(_generated(member, kind)[::-1])
 
 
-def _pins(members: Iterable[Any]) -> Iterator[Pins]:
-    """What instances are given at their ports, where that is a signal; "*": the signals of the ports' names."""
-    for member in _instances(members):
-        for instance in member.instances[::2]:  # every second one is a comma
-            pins: dict[str, tuple[str, bool]] = {}
-            for connection in instance.connections[::2]:
-                kind = connection.kind.name
-                if kind == "WildcardPortConnection":
-                    pins["*"] = ("", False)
-                elif kind == "NamedPortConnection":
-                    name = connection.name.valueText
-                    inner = str(connection.expr).strip() if connection.expr is not None else name
-                    match = _SIGNAL.fullmatch(inner)
-                    pins |= {name: (match[2], match[1] != "")} if match else {}
-            yield member.type.valueText, pins
+def _order(node: Any) -> list[str]:
+    """The names of a module's ports, in order."""
+    ports = node.header.ports.ports[::2] if node is not None and node.header.ports is not None else ()
+    named = (getattr(port, "declarator", None) or getattr(port, "expr", None) for port in ports)
+    return [one.name.valueText if hasattr(one, "name") else "" for one in named]
 
 
 def _generated(member: Any, kind: str) -> list[Any]:

@@ -14,11 +14,11 @@ from types import MappingProxyType
 from typing import Any
 
 from cm.design.hdl.errors import WrongParameter
-from cm.design.hdl.model import Language, ModuleInfo, Parameter, Port, PortDirection, Problem
+from cm.design.hdl.model import Language, ModuleInfo, Parameter, Polarity, Port, PortDirection, Problem
 from cm.design.hdl.usage import Body, vhdl_body
 from cm.design.hdl.vhdl_expr import NotFlat, Subtypes, Unknown, Value, evaluate, load_parser, no_value_of, width_of
 from cm.design.hdl.vhdl_text import Unit, blank_comments, design_units, instances, signal_attributes
-from cm.frozen import dataclass
+from cm.frozen import dataclass, replace
 
 _INTERFACE_DECLARATIONS = (
     "interface_declaration",
@@ -128,7 +128,14 @@ class VhdlReader:
         entity = self._entities.get(name.lower())
         if entity is None:
             return None
-        return vhdl_body("\n".join(entity.architectures).lower()), tuple(port.name.lower() for port in entity.ports)
+        body = vhdl_body("\n".join(entity.architectures).lower())
+        resets = tuple((name, self._level(level), *rest) for name, level, *rest in body.resets)
+        return replace(body, resets=resets), tuple(port.name.lower() for port in entity.ports)
+
+    def _level(self, level: Polarity | str) -> Polarity | str:
+        """A package's constant as the level that it is."""
+        known = self._constants.get(level) if isinstance(level, str) else None
+        return {"'1'": Polarity.HIGH, "'0'": Polarity.LOW}.get(known.default, level) if known else level
 
     def scope(self, name: str, parameters: Mapping[str, str]) -> tuple[Mapping[str, Value | None], Subtypes]:
         """Values of constants and of an entity's generics, and subtypes, as its ports see them."""

@@ -83,6 +83,7 @@ _ARITHMETIC: Mapping[str, Callable[..., Value]] = {
     ">=": operator.ge,
     "rem": lambda left, right: left - right * int(left / right),
 }
+_BIT_STRING = re.compile(r'(\d*)([us]?)([xobd])"(\w*)"')
 _SIGNS: Mapping[str, Callable[..., Value]] = {"-": operator.neg, "+": operator.pos, "abs": abs}
 
 
@@ -145,13 +146,25 @@ def _call(text: str, arguments: list[Any], names: Mapping[str, Value | None]) ->
     return _FUNCTIONS[name](*(_value(argument, names) for argument in arguments))
 
 
+def _bits(text: str) -> str:
+    """A string of bits in any base, of VHDL-2008's length (``12ux"3f"``) if it states one."""
+    found = _BIT_STRING.fullmatch(text)
+    if found is None:
+        raise Unknown(f"{text} is not evaluated")
+    length, signed, base, digits = found.groups()
+    per_digit = {"x": 4, "o": 3, "b": 1, "d": 0}[base]
+    value = int(digits, 2**per_digit if per_digit else 10) if digits else 0
+    bits = format(value, f"0{len(digits) * per_digit}b") if digits else ""
+    wanted = int(length or len(bits))
+    return bits.rjust(wanted, bits[:1] if signed == "s" else "0")[max(0, len(bits) - wanted) :]
+
+
 def _literal(text: str) -> Value:
     plain = text.replace("_", "").lower()
     if text[-1] in "\"'":
         if text[0] in "\"'":
             return text[1:-1].replace('""', '"')
-        per_digit, digits = {"x": 4, "o": 3, "b": 1}[plain[0]], plain[2:-1]
-        return format(int(digits, 2**per_digit), f"0{len(digits) * per_digit}b") if digits else ""
+        return _bits(plain)
     if "#" in plain:
         base, digits, _ = plain.split("#")
         return int(digits, int(base))

@@ -280,6 +280,32 @@ def test_two_records_that_differ_in_i_and_o_are_one_bus(tmp_path: Path, capsys: 
     assert "  s_axis_tready <= record_s_axis_o.tready;\n" in text
 
 
+HALVES = """\
+library ieee; use ieee.std_logic_1164.all;
+package half_pkg is
+  type axi_read_in_r is record arready, rvalid : std_logic; rdata : std_logic_vector(31 downto 0);
+    rresp : std_logic_vector(1 downto 0); end record;
+  type axi_read_out_r is record araddr : std_logic_vector(11 downto 0); arvalid, rready : std_logic; end record;
+  type axi_write_in_r is record awready, wready, bvalid : std_logic; bresp : std_logic_vector(1 downto 0); end record;
+  type axi_write_out_r is record awaddr : std_logic_vector(11 downto 0); wdata : std_logic_vector(31 downto 0);
+    wstrb : std_logic_vector(3 downto 0); awvalid, wvalid, bready : std_logic; end record;
+end package;
+library ieee; use ieee.std_logic_1164.all; use work.half_pkg.all;
+entity one is
+  port (aclk, aresetn : in std_logic; s_axi_ro : out axi_read_in_r; s_axi_ri : in axi_read_out_r;
+        s_axi_wo : out axi_write_in_r; s_axi_wi : in axi_write_out_r);
+end entity;
+architecture rtl of one is begin end architecture;
+"""
+
+
+def test_records_of_the_reading_and_the_writing_half_are_one_bus(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    main(["build", "check", str(of_stream_records(tmp_path, HALVES))])
+    assert "  s_axi: axi4lite slave, 32 bits\n" in capsys.readouterr().out
+
+
 def test_i_and_o_stay_the_names_of_two_whole_buses(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     ports = "axis_i : in down_t; axis_i_s2m : out up_t; axis_o : out down_t; axis_o_s2m : in up_t"
     text = STREAM_RECORDS.replace("s_axis_i : in down_t; s_axis_o : out up_t; ", f"{ports}; ")

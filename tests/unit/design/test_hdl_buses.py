@@ -161,6 +161,8 @@ NAMED = {
     "m_axis_tvalid_i m_axis_tlast_i": "it has neither data nor ready",
     "s_psel_i s_penable_i": "APB",
     "cmd_valid_i cmd_ready_o": "a handshake",
+    "req_val_i req_accept_o": "a handshake",
+    "rx_src_rdy_i rx_dst_rdy_o": "a handshake",
     "x_valid_i x_data_i": "a stream without ready: streams: [x]",
     "axi_m_wvalid_o axi_m_wready_i axi_m_wdata_o": "AXI bus axi_m",
 }
@@ -179,3 +181,9 @@ def test_a_stream_may_be_called_after_its_data(tmp_path: Path) -> None:
     assert ports(tmp_path, text).asked == ("tag",)
     (found,) = ports(tmp_path, text, stated=Stated(streams=("tag",))).interfaces
     assert found.ports == {"TDATA": "tag", "TVALID": "tag_valid", "TREADY": "tag_ready"}
+
+
+def test_a_stream_may_lack_the_t_of_its_data_or_have_it_in_trdy(tmp_path: Path) -> None:
+    found = ports(tmp_path, "input a_tvalid; output a_trdy; input [7:0] a_data; input a_last; output a_user; input clk")
+    (bus,) = found.interfaces
+    assert bus.ports == {"TDATA": "a_data", "TLAST": "a_last", "TVALID": "a_tvalid", "TREADY": "a_trdy"}

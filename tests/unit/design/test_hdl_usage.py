@@ -29,6 +29,9 @@ NAMED = [
     ("clk clk_bypass clk_override clk_polarity test_clk_mode rst_n", "clk rst_n-clk"),
     ("clk rst_n ff_reset counter_reset", "clk rst_n-clk"),
     ("clk rst_n sys_rst", "clk rst_n-clk sys_rst+clk"),
+    ("clk rst cold_reset pad_reset_detect", "clk rst+clk cold_reset+clk"),
+    ("clk0_P clk0_N rst", "clk0_P clk0_N rst+clk0_P"),
+    ("clk0p_pad clk0n_pad rst", "clk0p_pad clk0n_pad rst+clk0p_pad"),
     ("clk rst_n core_rst_n", "clk rst_n-clk core_rst_n-clk"),
     ("clk soft_reset", "clk soft_reset+clk"),
     ("clk rst_i set_i", "clk"),
@@ -52,9 +55,9 @@ def test_names_say_which_inputs_are_clocks_and_resets(names: str, wanted: str, t
 
 
 INTERRUPTS = {
-    "sure": "irq_uart ext_irq_r:i ext_irq_a intr_tx_sent_o hart0_timerirq:i irq_n irq_ch1 rx_valid_irq "
+    "sure": "irq_uart ext_irq_r:i ext_irq_a intr_tx_sent_o hart0_timerirq:i irq_n nmi nmi_i:i alarm_int_n irq_ch1 rx_valid_irq "
     "i_timer_int:i int_i:i IRQ_write irqs:8:i irq_0",
-    "asked": "dsc_irq_late side_irq_support_o sleep_int:i mtip_o pulse_ipi",
+    "asked": "dsc_irq_late side_irq_support_o sleep_int:i mtip_o pulse_ipi inta_o",
     "none": "trace_interrupt_ip interrupt_count_o irq_vector_valid cfg_irq_level cfg_interrupt_msi_sent clk_int_o "
     "blowoff_int+blowoff_ext irq_events take_interrupt:i interrupt_inhibit_o irq_dsbl dat_int0:16 clr_int:8:i int_a:i",
 }
@@ -77,6 +80,7 @@ PROCESSES = {
     "if rst_n = ACTIVE then q <= '0'; elsif rising_edge(clk) then q <= d; end if;": "clk rst_n-clk",
     "if rstn = '1' then if rising_edge(clk) then q <= d; end if; else q <= '0'; end if;": "clk rstn-clk",
     "if rst = '1' then if rising_edge(clk) then q <= d; end if; else q <= '0'; end if;": "clk rst-clk",
+    "if iArst = cOn then q <= '0'; elsif rising_edge(clk) then q <= d; end if;": "clk iArst+clk",
     "if load_en = '1' then q <= '0'; elsif rising_edge(clk) then q <= d; end if;": "clk",
 }
 
@@ -85,8 +89,34 @@ PROCESSES = {
 def test_a_process_says_what_resets_it_before_or_around_its_edge(process: str, wanted: str, tmp_path: Path) -> None:
     name = process.split()[1]
     head = f"entity e is port (clk, {name}, d : in std_logic; q : out std_logic); end e;"
+    head = f"package p is constant cOn : std_logic := '1'; end p; {head}"
     body = f"architecture a of e is begin p: process (clk, {name}) begin {process} end process p; end a;"
     assert told(module(tmp_path, f"library ieee; use ieee.std_logic_1164.all; {head} {body}", "e.vhd")) == wanted
+
+
+def test_the_reset_of_a_serialiser_belongs_to_its_divided_clock(tmp_path: Path) -> None:
+    head = "module m(input fast_clk, input slow_clk, input rst, input d, output q);"
+    text = f"{head} OUT_SERDES s(.CLK(fast_clk), .CLKDIV(slow_clk), .RST(rst), .D(d), .Q(q)); endmodule"
+    assert told(module(tmp_path, text)) == "fast_clk slow_clk rst+slow_clk"
+
+
+def test_what_is_only_asserted_clocks_nothing(tmp_path: Path) -> None:
+    said = "property p; @(posedge edge_seen) d |-> q; endproperty assert property (@(posedge d) q |-> edge_seen);"
+    text = f"module m(input clk, input edge_seen, input d, output reg q); always @(posedge clk) q <= d; {said} endmodule"
+    assert told(module(tmp_path, text, "m.sv")) == "clk"
+
+
+def test_an_output_at_the_interrupt_of_an_instance_is_asked_for(tmp_path: Path) -> None:
+    text = "module m(input clk, input go, output late, early); part p(.irq_o(late), .done(early), .clk(clk)); endmodule"
+    (asked,) = (left for left in module(tmp_path, text).leftovers if "interrupts: [" in left.reason)
+    assert asked.port == "late"
+
+
+def test_a_reset_that_is_left_to_something_inside_and_several_in_a_vector_are_named(tmp_path: Path) -> None:
+    found = ports(tmp_path, "input clk; input rst_n; input ff_reset; input [3:0] fclk; input [1:0] lane_rstn")
+    reasons = {left.port: left.reason for left in found.leftovers}
+    assert "resets: {ff_reset: {polarity: high}}" in reasons["ff_reset"]
+    assert reasons["fclk"].startswith("is like 4 clocks") and reasons["lane_rstn"].startswith("is like 2 resets")
 
 
 def test_a_clock_of_a_primitive_that_is_not_given_is_no_signal_of_another_clock(tmp_path: Path) -> None:
@@ -163,7 +193,7 @@ module inner (input go, input stop, input [7:0] d, output reg [7:0] q);
 endmodule
 module m (input a, input b, input c, input enable, input [7:0] x, output [7:0] y, output reg [7:0] z);
     wire turned = ~b;
-    inner one (.go(a), .stop(turned), .d(x), .q(y)), two (.go(a), .stop(turned));
+    inner one (.go(a), .stop(turned), .d(x), .q(y)), two (a, turned);
     always @(posedge c) if (enable) z <= x;
 endmodule
 """

@@ -493,3 +493,25 @@ def test_what_vivado_synthesises_all_the_same_does_not_stop_check(tmp_path: Path
     (problem,) = module(tmp_path, "module m (input a); logic b; type(b) c; endmodule\n", "m.sv").problems
     assert "'var'" in problem.message
     assert not problem.breaks
+
+
+NESTED = """
+interface kinds_if; typedef logic [7:0] word; endinterface
+interface lane_if (kinds_if kinds);
+  typedef kinds.word word;
+  logic valid, ready; word data;
+  function automatic logic ack(); return valid & ready; endfunction
+  modport sink (input valid, data, output ready, import ack);
+endinterface
+module m (kinds_if kinds, input logic clk, rst_n, lane_if.sink lane, output logic [7:0] q);
+  lane_if inner[2] (kinds);
+  always_ff @(posedge clk or negedge rst_n) if (!rst_n) q <= 0; else q <= lane.data;
+  assign lane.ready = inner[0].ack();
+endmodule
+"""
+
+
+def test_an_interface_with_an_interface_as_a_port_is_read_and_refused_by_name(tmp_path: Path) -> None:
+    found = module(tmp_path, NESTED, "m.sv", top="m")
+    assert [reset.clock for reset in found.resets] == ["clk"]
+    assert any("port lane is a SystemVerilog interface" in problem.message for problem in found.problems)
