@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import lru_cache
 
 from cm.design.hdl.model import Mode, Polarity, Port, PortDirection
@@ -29,8 +29,8 @@ _RESET_CORE = re.compile(r"n?(?P<before>[a-z0-9]{0,12}?)(?:rst|reset|arest)(?:n|
 _SHORT = {"w": "wr", "write": "wr", "r": "rd", "read": "rd", "pixel": "pix", "video": "vid", "source": "src"}
 _NOT_CLOCK = _words(
     "en ena enable ce cen sel select div divider valid cnt count locked lock req ack ok stop stopped gate "
-    "gated stopstate oe oeb good bad loss lost edge rise fall rate period freq frequency dis disable active status mux "
-    "phase src stall err error override bypass polarity pol invert inv mode force test"
+    "gated gating stopstate oe oeb good bad loss lost edge rise fall rate period freq frequency dis disable active "
+    "status mux phase src stall err error ovr override inh inhibit bypass polarity pol invert inv mode force test"
 )
 _SETTINGS = _words("cfg config conf csr")
 _ENABLES = frozenset(("en", "ena", "enable", "cen"))  # `ce` before clk is a name: ce_clk
@@ -53,7 +53,7 @@ _NUMBERED = re.compile(r"(?:ch|lane|core|hart|port|array|lines?|req|request)\d*"
 # what sets, clears or handles an interrupt, wherever the word stands
 _HANDLES = _words(
     "en ena enable enabled mask masked clr clear ack trace sel select addr test force set inhibit take taken disable "
-    "dis dsbl allow block ignore handle halt stall flush kill suppress cfg config reg trigger triggers clk"
+    "dis dsbl rdy allow block ignore handle halt stall flush kill suppress cfg config reg trigger triggers clk"
 )
 # what comes of one, behind the word: its number, its state
 _OF_INTERRUPT = _words(
@@ -65,7 +65,9 @@ _CAUSES = _words(  # before `int`, which is short for many things, in an input's
     "ext timer tmr cpu core sys hw sw soft dma gpio uart spi i2c eth usb pci pcie phy mac host global periph peripheral"
 )
 # words of a reset's name that say whose it is; any other, beside a plain reset, makes it a control
-_WHOSE = _words("sys core cpu peripheral interconnect axi axis ap por ext aux global glbl hard hw async sync main cold warm power")
+_WHOSE = _words(
+    "sys core cpu peripheral interconnect axi axis ap por ext aux global glbl hard hw async sync main cold warm power"
+)
 
 
 @lru_cache(maxsize=1024)
@@ -111,6 +113,13 @@ def drives_clock(port: Port) -> bool:
 def is_reset(port: Port) -> bool:
     """Whether a port is a one-bit input named like a reset."""
     return is_wire(port) and _says(port.name, _RESET, _NOT_RESET) and words(port.name)[0] != "do"
+
+
+def of_clock(port: Port, clocks: Collection[str]) -> bool:
+    """Whether there is a clock of the same name but for the word: `RstData` beside `ClkData`."""
+    low = port.name.lower()
+    others = {low.replace(one, other) for one in ("rst", "reset") for other in ("clk", "clock") if one in low}
+    return is_wire(port) and not others.isdisjoint(map(str.lower, clocks))
 
 
 def _says(name: str, pattern: re.Pattern[str], other: frozenset[str]) -> bool:

@@ -16,6 +16,7 @@ from cm.design.hdl.clock_reset_names import (
     is_reset,
     is_wire,
     named_low,
+    of_clock,
     reset_domains,
     says_else,
     says_what,
@@ -318,8 +319,11 @@ class _Detection:
     def _resets(self, clocks: Sequence[ModuleClock]) -> list[Reset]:
         """Likewise; of those that are only named so, `ff_reset` beside a reset is none, and `rst` beside `set`."""
         every = {port.name.lower() for port in self._module.ports}
+        every_clock = [clock.port for clock in clocks]
         named = [
-            port for port in self._unrejected() if is_reset(port) and not _beside(port.name, "reset rst", "set", every)
+            port
+            for port in self._unrejected()
+            if (is_reset(port) or of_clock(port, every_clock)) and not _beside(port.name, "reset rst", "set", every)
         ]
         for port in self._unrejected():
             if is_wire(port) and self._use(port.name).asynchronous and port not in named and says_else(port.name):
@@ -343,7 +347,9 @@ class _Detection:
             self._reasons[port.name] = f"{LIKE}a reset of something inside: {line}, if it resets the module"
         for port in self._unrejected():
             if what := several(port):
-                self._reasons[port.name] = f"{LIKE}{port.width} {what} side by side: needs a flat wrapper that splits them"
+                self._reasons[port.name] = (
+                    f"{LIKE}{port.width} {what} side by side: needs a flat wrapper that splits them"
+                )
         self._take(port.name for port in found)
         return [Reset(port.name, port.name, levels[port.name]) for port in found]
 
@@ -360,8 +366,8 @@ class _Detection:
         stated = vivado_attributes.polarity_of(vivado_attributes.parameters(port))
         use = self._use(port.name)
         generic = {p.name.lower(): str(p.value).strip("'") for p in self._module.parameters if use.constant}
-        level = {"1": Polarity.HIGH, "0": Polarity.LOW}.get(generic.get(use.constant, ""))
-        unknown = use.constant and use.constant not in generic and named is Polarity.HIGH  # no n is in the name
+        level = {"1": Polarity.HIGH, "0": Polarity.LOW}.get(generic.get(use.constant.lower(), ""))
+        unknown = use.constant and use.constant.lower() not in generic and named is Polarity.HIGH  # no n is in the name
         return stated or use.reset or level or (None if unknown else named)
 
     def _interrupts(self) -> list[Interrupt]:
@@ -372,7 +378,9 @@ class _Detection:
             if (said := interrupt_mode(port)) and not _beside(port.name, "int", "ext", names)
         ]
         told = {port.name for port, _, _ in named}
-        named += [(port, Mode.MASTER, False) for port in self._unrejected() if port.name not in told and self._is_irq(port)]
+        named += [
+            (port, Mode.MASTER, False) for port in self._unrejected() if port.name not in told and self._is_irq(port)
+        ]
         for port in (port for port, _, sure in named if not sure):
             line = f"interrupts: [{port.name}] in the module, with all that are, if it is one"
             self._reasons[port.name] = f"{LIKE}an interrupt: {line}"

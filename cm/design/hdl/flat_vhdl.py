@@ -82,7 +82,8 @@ def _records(texts: Iterator[str] | map[str]) -> Iterator[tuple[str, list[tuple[
 def _buses(ports: Iterable[Declaration], scope: _Scope) -> dict[str, str]:
     """Record port → its bus, for records that differ in ``_i`` and ``_o`` only (``_ri``, ``_ro``: its reading half).
 
-    Together they have its signals. Two records with a field in common are two buses, of which ``_i`` and ``_o`` are the names.
+    Together they have its signals. Two records with a field in common are two buses, of which ``_i`` and ``_o`` are the
+    names.
     """
     halves: dict[str, list[Declaration]] = {}
     for port in ports:
@@ -105,7 +106,11 @@ def _plain_type(kind: str) -> str:
 def _fields(where: str, port: Declaration, direction: PortDirection, bus: str, scope: _Scope) -> Iterator[FlatPort]:
     leaves = list(_leaves(where, (), port.type, scope, 0))
     channel = _CHANNEL.fullmatch(_plain_type(port.type))  # one channel of AXI alone is no stream: axi_m2s_w_t
-    if channel and channel[1] != "a" and not any(f"{channel[1]}{path[-1]}".lower() in aximm().spelled for path, *_ in leaves):
+    if (
+        channel
+        and channel[1] != "a"
+        and not any(f"{channel[1]}{path[-1]}".lower() in aximm().spelled for path, *_ in leaves)
+    ):
         channel = None  # axi_read_r, where r is for record
     stream = channel is None and all(path[-1].lower() in _STREAM and len(path) == 1 for path, _, _ in leaves)
     for path, width, base in leaves:

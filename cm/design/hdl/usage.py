@@ -35,6 +35,9 @@ _TEST = re.compile(
     r"\bif\s*\(\s*([!~])?\s*\(?\s*(\w+)\s*\)?\s*(?:==+\s*(?:\d+'[bhd]|')?([01])\s*)?\)(.*?)(?:\belse\b|\bend\b|\Z)",
     re.DOTALL,
 )
+_ASSIGNS = re.compile(r"[^=!<>]=[^=]|<=")
+# a signal that is another one, turned round by a parameter: assign rst = arst_i ^ LEVEL
+_XOR = re.compile(r"(?:assign|wire|logic)\s+(\w+)\s*=\s*(\w+)\s*\^\s*(\w+)\s*;")
 _COPY = re.compile(r"(?:assign|wire|logic)\s+(\w+)\s*=\s*([!~])?\s*(\w+)\s*;")
 # a member of an interface that is given a port, or that a port is given, as in a flat wrapper
 _MEMBER = re.compile(r"assign\s+(\w+)(?:\.\w+)?\s*=\s*(\w+)(?:\.\w+)?\s*;")
@@ -55,6 +58,7 @@ _RISING = re.compile(
 _TESTED = re.compile(
     r"\bif\s*\(?\s*(\w+)\s*=\s*(?:'([01])'|(\w+))\s*\)?\s*then(.*?)(?:\belsif\b|\belse\b|\bend\b|\Z)", re.DOTALL
 )
+_XOR_VHDL = re.compile(r"(?m)^\s*(\w+)\s*<=\s*(\w+)\s+xor\s+(\w+)\s*;")
 _SAME = re.compile(r"(?m)^\s*(\w+)\s*<=\s*(not\s+)?(\w+)\s*;")
 _MAPPED = re.compile(
     r":\s*(?:entity\s+\w+\.|component\s+)?(\w+)\s+(?:generic\s+map\b[^;]*?)?port\s+map\s*\(([^;]*)\)\s*;"
@@ -74,6 +78,7 @@ class Body:
     resets: tuple[tuple[str, Polarity | str, str, bool], ...] = ()
     copies: tuple[tuple[str, bool, str], ...] = ()  # a signal that is another one, perhaps inverted
     instances: tuple[Pins, ...] = ()
+    turned: tuple[tuple[str, str, str], ...] = ()  # a signal, the one that it is, and the constant that inverts it
     choices: tuple[tuple[str, str, str], ...] = ()  # a signal that is one of two others
     members: tuple[tuple[str, str], ...] = ()  # an interface or a record and another signal, in either order
 
@@ -85,6 +90,8 @@ def verilog_body(text: str, instances: Iterable[Pins]) -> Body:
     resets = []
     for match in _BLOCK.finditer(text):
         block = text[match.end() : _end(text, match.end())]
+        if not _ASSIGNS.search(block):  # it only says something
+            continue
         edges = _EDGE.findall(match["edges"])
         first = _TEST.search(block)
         clocks = [name for _, name in edges if len(edges) == 1 or first is None or name != first[2]]
@@ -98,9 +105,8 @@ def verilog_body(text: str, instances: Iterable[Pins]) -> Body:
             resets += [(name, level, clock, False)] if level else []
     copies = tuple((one, bool(turned), other) for one, turned, other in _COPY.findall(text))
     parts = tuple((c, frozenset(names)) for c, names in steps.items())
-    return Body(
-        parts, tuple(resets), copies, tuple(instances), tuple(_CHOICE.findall(text)), tuple(_MEMBER.findall(text))
-    )
+    others = [tuple(found.findall(text)) for found in (_XOR, _CHOICE, _MEMBER)]
+    return Body(parts, tuple(resets), copies, tuple(instances), *others)
 
 
 def _end(text: str, start: int) -> int:
@@ -131,8 +137,8 @@ def vhdl_body(text: str) -> Body:
             continue
         (clock,) = clocks
         steps.append((clock, frozenset(_WORD.findall(process))))
-        for match in _TESTED.finditer(process):
-            before = match.end() <= edges[0].start()
+        for number, match in enumerate(_TESTED.finditer(process)):
+            before = number == 0 and match.end() <= edges[0].start()  # later ones are inside what is reset
             around = match.start(4) <= edges[0].start() < match.end(4)  # what is reset stands behind `else`
             level = {"1": Polarity.HIGH, "0": Polarity.LOW}.get(match[2] or "")
             if before or (level and _SAYS_RESET.search(match[1])):
@@ -142,7 +148,8 @@ def vhdl_body(text: str) -> Body:
         (unit, {port: (signal, bool(turned)) for port, turned, signal in _PIN.findall(pins)})
         for unit, pins in _MAPPED.findall(text)
     )
-    return Body(tuple(steps), tuple(resets), copies, instances, (), tuple(_FIELD.findall(text)))
+    turned = tuple(_XOR_VHDL.findall(text))
+    return Body(tuple(steps), tuple(resets), copies, instances, turned, (), tuple(_FIELD.findall(text)))
 
 
 class Usage:
@@ -254,6 +261,9 @@ class _Ports:
             self._at(self._origin[known][0]).clock = True
 
     def _reset(self, name: str, level: Polarity | str, clocks: Iterable[str], asynchronous: bool) -> None:
+        by = next(((port, constant) for one, port, constant in self._body.turned if one == name), None)
+        if by and by[0] in self._origin and isinstance(level, Polarity):
+            name, level = by[0], by[1] if level is Polarity.LOW else ""
         if name not in self._origin:
             return
         port, turned = self._origin[name]

@@ -340,7 +340,7 @@ def _order(node: Any) -> list[str]:
     """The names of a module's ports, in order."""
     ports = node.header.ports.ports[::2] if node is not None and node.header.ports is not None else ()
     named = (getattr(port, "declarator", None) or getattr(port, "expr", None) for port in ports)
-    return [one.name.valueText if hasattr(one, "name") else "" for one in named]
+    return [str(one.name.valueText) if one is not None and hasattr(one, "name") else "" for one in named]
 
 
 def _generated(member: Any, kind: str) -> list[Any]:

@@ -129,7 +129,7 @@ class VhdlReader:
         if entity is None:
             return None
         body = vhdl_body("\n".join(entity.architectures).lower())
-        resets = tuple((name, self._level(level), *rest) for name, level, *rest in body.resets)
+        resets = tuple((name, self._level(level), clock, at_once) for name, level, clock, at_once in body.resets)
         return replace(body, resets=resets), tuple(port.name.lower() for port in entity.ports)
 
     def _level(self, level: Polarity | str) -> Polarity | str:

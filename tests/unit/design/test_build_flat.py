@@ -299,9 +299,7 @@ architecture rtl of one is begin end architecture;
 """
 
 
-def test_records_of_the_reading_and_the_writing_half_are_one_bus(
-    tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_records_of_the_reading_and_the_writing_half_are_one_bus(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     main(["build", "check", str(of_stream_records(tmp_path, HALVES))])
     assert "  s_axi: axi4lite slave, 32 bits\n" in capsys.readouterr().out
 

@@ -30,6 +30,8 @@ NAMED = [
     ("clk rst_n ff_reset counter_reset", "clk rst_n-clk"),
     ("clk rst_n sys_rst", "clk rst_n-clk sys_rst+clk"),
     ("clk rst cold_reset pad_reset_detect", "clk rst+clk cold_reset+clk"),
+    ("ClkData RstData ClkReg RstReg", "ClkData ClkReg RstData+ClkData RstReg+ClkReg"),
+    ("clk tmc_disable_clock_gating clk_ovr_on clk_inh", "clk"),
     ("clk0_P clk0_N rst", "clk0_P clk0_N rst+clk0_P"),
     ("clk0p_pad clk0n_pad rst", "clk0p_pad clk0n_pad rst+clk0p_pad"),
     ("clk rst_n core_rst_n", "clk rst_n-clk core_rst_n-clk"),
@@ -55,10 +57,11 @@ def test_names_say_which_inputs_are_clocks_and_resets(names: str, wanted: str, t
 
 
 INTERRUPTS = {
-    "sure": "irq_uart ext_irq_r:i ext_irq_a intr_tx_sent_o hart0_timerirq:i irq_n nmi nmi_i:i alarm_int_n irq_ch1 rx_valid_irq "
-    "i_timer_int:i int_i:i IRQ_write irqs:8:i irq_0",
+    "sure": "irq_uart ext_irq_r:i ext_irq_a intr_tx_sent_o hart0_timerirq:i irq_n nmi nmi_i:i alarm_int_n irq_ch1 "
+    "rx_valid_irq i_timer_int:i int_i:i IRQ_write irqs:8:i irq_0",
     "asked": "dsc_irq_late side_irq_support_o sleep_int:i mtip_o pulse_ipi inta_o",
-    "none": "trace_interrupt_ip interrupt_count_o irq_vector_valid cfg_irq_level cfg_interrupt_msi_sent clk_int_o "
+    "none": "RDY_interrupt "
+    "trace_interrupt_ip interrupt_count_o irq_vector_valid cfg_irq_level cfg_interrupt_msi_sent clk_int_o "
     "blowoff_int+blowoff_ext irq_events take_interrupt:i interrupt_inhibit_o irq_dsbl dat_int0:16 clr_int:8:i int_a:i",
 }
 
@@ -81,6 +84,8 @@ PROCESSES = {
     "if rstn = '1' then if rising_edge(clk) then q <= d; end if; else q <= '0'; end if;": "clk rstn-clk",
     "if rst = '1' then if rising_edge(clk) then q <= d; end if; else q <= '0'; end if;": "clk rst-clk",
     "if iArst = cOn then q <= '0'; elsif rising_edge(clk) then q <= d; end if;": "clk iArst+clk",
+    "if rst_n = '0' then if d = '1' then q <= '0'; else q <= '1'; end if; if d = '1' then q <= d; end if; "
+    "elsif rising_edge(clk) then q <= d; end if;": "clk rst_n-clk",
     "if load_en = '1' then q <= '0'; elsif rising_edge(clk) then q <= d; end if;": "clk",
 }
 
@@ -100,9 +105,24 @@ def test_the_reset_of_a_serialiser_belongs_to_its_divided_clock(tmp_path: Path) 
     assert told(module(tmp_path, text)) == "fast_clk slow_clk rst+slow_clk"
 
 
+@pytest.mark.parametrize(
+    ("name", "head", "turned"),
+    [
+        ("m.v", "module m #(parameter LEVEL = 1'b0)(input clk, input arst, input d, output reg q);",
+         "wire r = arst ^ LEVEL; always @(posedge clk or negedge r) if (!r) q <= 0; else q <= d; endmodule"),
+        ("m.vhd", "entity m is generic (LEVEL : bit := '0'); port (clk, arst, d : in bit; q : out bit)",
+         "; end m; architecture a of m is begin\n r <= arst xor LEVEL;\n p: process (clk, r) begin if r = '0' then "
+         "q <= '0'; elsif rising_edge(clk) then q <= d; end if; end process p; end a;"),
+    ],
+)  # fmt: skip
+def test_a_parameter_may_turn_a_reset_round(name: str, head: str, turned: str, tmp_path: Path) -> None:
+    assert told(module(tmp_path, f"{head} {turned}", name)) == "clk arst-clk"
+
+
 def test_what_is_only_asserted_clocks_nothing(tmp_path: Path) -> None:
     said = "property p; @(posedge edge_seen) d |-> q; endproperty assert property (@(posedge d) q |-> edge_seen);"
-    text = f"module m(input clk, input edge_seen, input d, output reg q); always @(posedge clk) q <= d; {said} endmodule"
+    said += ' always @(posedge d) begin if (q) $display("d"); end'
+    text = f"module m(input clk, edge_seen, d, output reg q); always @(posedge clk) q <= d; {said} endmodule"
     assert told(module(tmp_path, text, "m.sv")) == "clk"
 
 
@@ -116,7 +136,8 @@ def test_a_reset_that_is_left_to_something_inside_and_several_in_a_vector_are_na
     found = ports(tmp_path, "input clk; input rst_n; input ff_reset; input [3:0] fclk; input [1:0] lane_rstn")
     reasons = {left.port: left.reason for left in found.leftovers}
     assert "resets: {ff_reset: {polarity: high}}" in reasons["ff_reset"]
-    assert reasons["fclk"].startswith("is like 4 clocks") and reasons["lane_rstn"].startswith("is like 2 resets")
+    assert reasons["fclk"].startswith("is like 4 clocks")
+    assert reasons["lane_rstn"].startswith("is like 2 resets")
 
 
 def test_a_clock_of_a_primitive_that_is_not_given_is_no_signal_of_another_clock(tmp_path: Path) -> None:
