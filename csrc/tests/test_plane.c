@@ -12,6 +12,7 @@
 #include <sys/mman.h>
 #include <sys/resource.h>
 #include <sys/socket.h>
+#include <sys/syscall.h>
 #include <sys/un.h>
 
 #include "client/cm_plane.h"
@@ -731,6 +732,123 @@ static void numbers_begin_anew_and_leave_out_those_in_use(void)
 	close(pair[0]);
 }
 
+#define LENT UINT64_C(0x10000000) /* where devices see it */
+#define NOBODY 65534
+
+/* A client of @user with memory that its user may transfer, until *@stream is stopped; its end of the socket. */
+static int lender(struct cm_plane *plane, int memory, uid_t user, int *stream)
+{
+	struct cm_plane_setup setup = { .write = true, .length = LENGTH, .address = LENT };
+	unsigned char geometry[CM_PLANE_PACKET_MAX];
+	uid_t me = geteuid();
+	int pair[2];
+
+	*stream = cm_plane_start(plane, NULL, &setup);
+	CHECK(cm_plane_add_slot(plane, *stream, memory, 0) == 0);
+	/* The system call is this thread's alone: the library's would interrupt the others. */
+	CHECK(!syscall(SYS_setresuid, -1, user, -1));
+	CHECK(!socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, pair));
+	CHECK(!syscall(SYS_setresuid, -1, me, -1));
+	CHECK(!cm_plane_attach(plane, cm_plane_adopt(plane, pair[1]), *stream, 1, geometry,
+			       geometry_packet(geometry, true)));
+	return pair[0];
+}
+
+struct transfers {
+	char *root;
+	struct fake_node *fake;
+	struct cm_dma *dma;
+	struct cm_plane *plane;
+	struct cm_plane_descriptor grant;
+	int memory, lent, lender, end;
+};
+
+/* A client that transfers at most half of the memory at once, which @user has lent. */
+static void transfers_make(struct transfers *all, uid_t user)
+{
+	struct cm_plane_setup setup = {
+		.write = true, .queue_depth = 4, .length = LENGTH / 2, .lent = 2
+	};
+	unsigned char geometry[CM_PLANE_PACKET_MAX];
+	int pair[2];
+
+	all->root = fake_root_make();
+	all->fake = fake_node_start(all->root, "dev/cm_dma/x", WELL_BEHAVED);
+	all->dma = cm_dma_open(all->root, "x");
+	all->plane = cm_plane_new();
+	all->memory = memfd_create("lent", MFD_CLOEXEC);
+	CHECK(all->dma && all->plane && !ftruncate(all->memory, LENGTH));
+	all->lender = lender(all->plane, all->memory, user, &all->lent);
+	CHECK(!socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, pair));
+	all->end = pair[0];
+	CHECK(!cm_plane_attach(all->plane, cm_plane_adopt(all->plane, pair[1]),
+			       cm_plane_start(all->plane, all->dma, &setup), 2, geometry,
+			       geometry_packet(geometry, true)));
+	all->grant = await_kind(all->end, CM_PLANE_GRANT);
+}
+
+static void transfers_end(struct transfers *all)
+{
+	cm_plane_close(all->plane);
+	close(all->end);
+	close(all->lender);
+	close(all->memory);
+	cm_dma_close(all->dma);
+	fake_node_stop(all->fake);
+	fake_root_remove(all->root);
+}
+
+/* How a transfer ended: the errno, and the bytes. */
+static struct cm_plane_descriptor transferred(struct transfers *all, uint64_t address,
+					      uint64_t length)
+{
+	struct cm_plane_descriptor packet = all->grant;
+
+	packet.kind = CM_PLANE_SUBMIT;
+	packet.length = length;
+	packet.timestamp_ns = address;
+	CHECK(send(all->end, &packet, sizeof(packet), 0) == sizeof(packet));
+	return await_kind(all->end, CM_PLANE_DONE);
+}
+
+static void bytes_that_a_user_has_lent_are_transferred_until_they_are_gone(void)
+{
+	static const struct {
+		uint64_t address, length;
+		uint32_t error;
+	} wrong[] = { { LENT - 1, 2, EFAULT },	    { LENT + LENGTH - 1, 2, EFAULT },
+		      { LENT + LENGTH, 1, EFAULT }, { LENT, 0, EFAULT },
+		      { LENT, UINT64_MAX, EFAULT }, { LENT, LENGTH / 2 + 1, EMSGSIZE } };
+	struct transfers all;
+	unsigned int requests = 0;
+
+	transfers_make(&all, geteuid());
+	for (int i = 0; i < 3; i++) {
+		struct cm_plane_descriptor done = transferred(&all, LENT + 64, LENGTH / 2);
+
+		CHECK(done.offset == 0 && done.length == LENGTH / 4); /* the node moves half */
+		if (!i)
+			requests = fake_node_requests(all.fake);
+	}
+	CHECK(fake_node_requests(all.fake) == requests + 2); /* it is imported once */
+	for (size_t i = 0; i < sizeof(wrong) / sizeof(wrong[0]); i++)
+		CHECK(transferred(&all, wrong[i].address, wrong[i].length).offset ==
+		      wrong[i].error);
+	CHECK(!cm_plane_stop(all.plane, all.lent, 0));
+	CHECK(transferred(&all, LENT + 64, 64).offset == EFAULT);
+	CHECK(fake_node_requests(all.fake) == requests + 3); /* the handle is given back */
+	transfers_end(&all);
+}
+
+static void bytes_of_another_user_are_not_transferred(void)
+{
+	struct transfers all;
+
+	transfers_make(&all, NOBODY);
+	CHECK(transferred(&all, LENT, 64).offset == EFAULT);
+	transfers_end(&all);
+}
+
 int main(void)
 {
 	RUN(a_packet_that_is_repeated_without_end_is_reported_once);
@@ -746,5 +864,10 @@ int main(void)
 	RUN(a_slot_that_is_shorter_than_said_is_an_error);
 	RUN(descriptors_that_come_with_a_frame_are_closed);
 	RUN(a_stream_that_is_long_in_ending_holds_up_no_other);
+	RUN(bytes_that_a_user_has_lent_are_transferred_until_they_are_gone);
+	if (geteuid() == 0)
+		RUN(bytes_of_another_user_are_not_transferred);
+	else
+		puts("skipped bytes_of_another_user_are_not_transferred: only root has another user");
 	return 0;
 }
