@@ -41,6 +41,7 @@ CASES = (
     Case("frame_pl", ("frame_pl_vs_zmq", "frame_pl_vs_zenoh", "frame_pl_vs_c"), beside=("zenoh",)),
     Case("control", ("control_vs_zmq",)),
     Case("registers", ("register_window", "register_request")),
+    Case("pynq", ("pynq_transfer",)),
     Case("reconfigure", ("reconfigure",)),
     Case("readback", ("readback_pass", "readback_scrub")),
     Case("fanout", ("fanout",)),

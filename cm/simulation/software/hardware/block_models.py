@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What common blocks do, by VLNV: AXI GPIO (PG144), AXI Timer (PG079), AXI UART Lite (PG142), kernels of HLS.
+"""What common blocks do, by VLNV: AXI GPIO (PG144), AXI Timer (PG079), AXI UART Lite (PG142), AXI DMA (PG021), HLS.
 
 A model of one's own is a `Model` under its VLNV in ``MODELS``, with or without the version.
 """
@@ -7,16 +7,18 @@ A model of one's own is a `Model` under its VLNV in ``MODELS``, with or without 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from types import MappingProxyType
 
 from cm.schema.model import Block
+from cm.simulation.software.errors import NodeError, SimError
 from cm.simulation.software.hardware.models import Model
 
 # Their streams leave as they came, at least as bytes; their registers, if any, are left to what they are.
 _PASSING = ["axis_data_fifo", "axis_register_slice", "axis_clock_converter", "axis_dwidth_converter", "fifo_generator"]
 # Kernel drivers have their registers, or nothing can be seen of them from here.
-_OTHERS = ["axi_dma", "axi_vdma", "axi_mcdma", "axi_cdma", "axi_intc", "axi_bram_ctrl", "dfx_decoupler", "pr_decoupler"]
+_OTHERS = ["axi_vdma", "axi_mcdma", "axi_cdma", "axi_intc", "axi_bram_ctrl", "dfx_decoupler", "pr_decoupler"]
 
 
 def expected(block: Block) -> bool:
@@ -90,6 +92,69 @@ class AxiTimer(Model):
             self.words[timer // 4 + 2] = 0 if control & 2 else 0xFFFFFFFF
 
 
+class AxiDma(Model):
+    """Simple mode by the registers, for a design whose schema describes them; no interrupts.
+
+    Its channels are those of the driver: they move what registers begin as they move what the driver does.
+    """
+
+    _ENGINES = {0x00: "mm2s", 0x30: "s2mm"}  # noqa: RUF012 (never changed)
+    _HALTED, _IDLE, _INTERNAL, _DECODE, _DONE, _CLEARED = 1, 2, 0x10, 0x40, 0x1000, 0x7000
+
+    def start(self) -> None:
+        """Both directions are halted."""
+        self._cancels: dict[int, Callable[[], None]] = {}  # by engine, of what is under way
+        self._open = len(self.words) >= 24
+        if self._open:
+            self._reset()
+
+    def stop(self) -> None:
+        """Nothing is under way any more."""
+        cancels, self._cancels = self._cancels, {}
+        for cancel in cancels.values():
+            cancel()
+
+    def wrote(self, offset: int, value: int, before: int) -> None:
+        """A write to a control, status or length register; addresses are kept."""
+        base, register = offset // 0x30 * 0x30, offset % 0x30
+        if not self._open or self._ENGINES.get(base) not in self.channels:
+            return
+        if register == 0x00 and value & 4:
+            self.stop()
+            self._reset()
+        elif register == 0x00:
+            self._set(base, 0, self._HALTED) if value & 1 else self._set(base, self._HALTED, 0)
+        elif register == 0x04:
+            self.words[offset // 4] = before & ~(value & self._CLEARED)
+        elif register == 0x28 and not int(self.words[base // 4 + 1]) & self._HALTED and base not in self._cancels:
+            self._begin(base, value)
+
+    def _begin(self, base: int, length: int) -> None:
+        low, high = (int(word) for word in self.words[base // 4 + 6 : base // 4 + 8])
+        self._set(base, 0, self._IDLE)
+        try:
+            self._cancels[base] = self.board.transfer(
+                self.channels[self._ENGINES[base]], high << 32 | low, length, partial(self._ended, base)
+            )
+        except SimError:  # no memory is there
+            self._set(base, self._HALTED | self._DECODE, 0)
+        except NodeError:  # nothing to move, or the driver's transfer is under way
+            self._set(base, self._HALTED | self._INTERNAL, 0)
+
+    def _ended(self, base: int, moved: int, status: int) -> None:
+        if self._cancels.pop(base, None) is not None:
+            self.words[base // 4 + 10] = moved
+            self._set(base, self._HALTED | self._INTERNAL if status else self._IDLE | self._DONE, 0)
+
+    def _set(self, base: int, ones: int, zeros: int) -> None:
+        at = base // 4 + 1
+        self.words[at] = int(self.words[at]) & ~zeros | ones
+
+    def _reset(self) -> None:
+        for base in self._ENGINES:
+            self.words[base // 4 : base // 4 + 11] = [0x10002, 0x10001, *[0] * 9]
+
+
 class UartLite(Model):
     """What is sent is printed, by lines; nothing is received."""
 
@@ -154,6 +219,7 @@ class HlsKernel(Model):
 STANDARD: Mapping[str, type[Model]] = MappingProxyType(
     {
         **{f"xilinx.com:ip:{name}": Passes for name in _PASSING},
+        "xilinx.com:ip:axi_dma": AxiDma,
         "xilinx.com:ip:axi_gpio": AxiGpio,
         "xilinx.com:ip:axi_timer": AxiTimer,
         "xilinx.com:ip:axi_uartlite": UartLite,

@@ -13,7 +13,7 @@ from cm.schema.model import Direction
 from cm.simulation.software.errors import NodeError
 from cm.simulation.software.hardware.board_spec import ChannelSpec
 from cm.simulation.software.transport import protocol
-from cm.simulation.software.transport.buffers import Buffer, Buffers
+from cm.simulation.software.transport.buffers import Buffer, Buffers, DmaMemory
 from cm.simulation.software.transport.session import Events
 from cm.wire.lazy_numpy import NDArray, np
 
@@ -26,7 +26,7 @@ Bytes: TypeAlias = "NDArray[np.uint8]"
 class Transfer:
     """One descriptor: a run of bytes or a frame of lines in a buffer."""
 
-    __slots__ = ("buffer", "cookie", "cyclic", "handle", "length", "offset", "period", "position", "view")
+    __slots__ = ("buffer", "cookie", "cyclic", "done", "handle", "length", "offset", "period", "position", "view")
 
     def __init__(
         self, buffer: Buffer, view: Bytes, cookie: int, period: int = 0, at: tuple[int, int] | None = None
@@ -40,6 +40,7 @@ class Transfer:
         self.cyclic = period > 0
         self.period = period or self.length
         self.position = 0
+        self.done: Callable[[int, int], object] | None = None  # told in place of the file, with bytes and status
 
     @property
     def plain(self) -> bool:
@@ -153,6 +154,18 @@ class Channel:
         self.queue.append(transfer)
         self.kick()
 
+    def begin(self, memory: DmaMemory, address: int, length: int, done: Callable[[int, int], object]) -> None:
+        """Start the engine by its registers. Raises NodeError for no length or while it moves, SimError."""
+        self.kick()  # what is queued is known here
+        length &= (1 << self.spec.simple) - 1 if self.spec.simple else MAX_LENGTH
+        if not length or self.queue:
+            raise NodeError(errno.EBUSY if length else errno.EINVAL, "nothing is to be moved, or something is already")
+        buffer, offset = memory.at(address, length)
+        transfer = Transfer(buffer, buffer.bytes[offset : offset + length], 0)
+        transfer.done = done
+        buffer.inflight += 1
+        self.queue.append(transfer)
+
     def cancel(self) -> None:
         """End all transfers with ECANCELED."""
         while self.queue:
@@ -174,5 +187,7 @@ class Channel:
     def _finish(self, transfer: Transfer, length: int, status: int) -> None:
         self.queue.popleft()
         transfer.buffer.inflight -= 1
-        if self.completions is not None:
+        if transfer.done is not None:
+            transfer.done(length, status)
+        elif self.completions is not None:
             self.completions.send(transfer.cookie, length, status)

@@ -138,7 +138,7 @@ class SoftwareLogic(Logic):
             else:
                 links |= self._loop_link(channels, name, spec.partner)
             channel.kick = links[name].kick
-        self._running.links = links
+        self._running.links, self._running.channels = links, channels
         return links
 
     @property

@@ -17,7 +17,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping
 from functools import cached_property
 from pathlib import Path
-from types import ModuleType
+from types import MappingProxyType, ModuleType
 from typing import Any, ClassVar, Protocol, TypeAlias
 
 from cm.schema.model import Block, Config
@@ -59,6 +59,15 @@ class Surroundings(Protocol):
     def send(self, stream: str, data: Any) -> bool:
         """Let a packet leave on a stream to memory; False if too many wait already, and it is lost."""
 
+    def transfer(
+        self, channel: str, address: int, length: int, done: Callable[[int, int], object]
+    ) -> Callable[[], None]:
+        """Move bytes of main memory to a channel's stream, or a packet into them; returns what cancels that.
+
+        `done` gets how many were moved, and a negative errno or 0. Raises SimError where no memory was allocated,
+        NodeError for no length, and while the engine moves something else.
+        """
+
     def after(self, seconds: float, call: Callable[[], object]) -> None:
         """Do something later, unless another module has been loaded by then."""
 
@@ -75,6 +84,7 @@ class Model:
     reads: ClassVar[tuple[int, ...]] = ()  # offsets of a block's words that `read` answers
     name = ""  # of the block
     interrupts: tuple[str, ...] = ()  # of the block
+    channels: Mapping[str, str] = MappingProxyType({})  # of the block, if it is a DMA engine, by direction
     words: NDArray[Any]  # 32 bits each, of the block's window, as the bus sees them
 
     def __init__(self, registers: Registers, memories: Mapping[str, NDArray[Any]], board: Surroundings) -> None:
@@ -84,9 +94,10 @@ class Model:
         self.start()
 
     @classmethod
-    def of_block(cls, block: Block, words: NDArray[Any], *parts: Any) -> Model:
-        """The model of a block, which has a name, words and interrupts when it starts."""
+    def of_block(cls, block: Block, words: NDArray[Any], channels: Mapping[str, str], *parts: Any) -> Model:
+        """The model of a block, which has a name, words, channels and interrupts when it starts."""
         made = cls.__new__(cls)
+        made.channels = channels
         made.name, made.words, made.interrupts = block.name, words, block.interrupts
         made.__init__(*parts)  # type: ignore[misc]
         return made

@@ -146,9 +146,10 @@ class RunningBlocks:
         for block in config.blocks.values():
             kind = self._kind(config, block)
             if kind is not None:
-                self._make(block, kind)
+                streams = [config.streams[name] for name in block.streams if name in config.streams]
+                self._make(block, kind, {one.direction.value: one.channel for one in streams})
 
-    def _make(self, block: Block, kind: type[Model]) -> None:
+    def _make(self, block: Block, kind: type[Model], channels: Mapping[str, str]) -> None:
         window = self._fabric.window_at(block.base_address) if block.size else None
         start = block.base_address - window.spec.address if window else 0
         end = min(start + block.size, window.spec.size) & ~3 if window else 0
@@ -156,7 +157,7 @@ class RunningBlocks:
         place = self._place()
         parts = (_registers(block, window, start, end), _arrays(window, start, end), place)
         try:
-            model = kind.of_block(block, words, *parts)
+            model = kind.of_block(block, words, channels, *parts)
         except Exception:  # noqa: BLE001 - a user's model must not end the board
             _log.exception("the model %s of %s could not be started", kind.__name__, block.name)
             return

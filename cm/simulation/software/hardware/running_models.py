@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 from cm.loop import Loop
 from cm.simulation.software.errors import SimError
+from cm.simulation.software.hardware.dma import Channel
 from cm.simulation.software.hardware.fabric import Fabric
 from cm.simulation.software.hardware.interrupts import InterruptWiring
 from cm.simulation.software.hardware.models import Model, Models
@@ -38,6 +39,7 @@ class RunningModels:
         self._running: dict[str, Model] = {}
         self.blocks = RunningBlocks(fabric, models, lambda: _Place(self), self.guarded)
         self.links: Mapping[str, Outlet] = {}
+        self.channels: Mapping[str, Channel] = {}
         fabric.loaded = self._loaded
 
     def of(self, region: str | None) -> Model | None:
@@ -107,6 +109,11 @@ class RunningModels:
         if not self._interrupts.fire(name):
             raise SimError(f"no interrupt is called {name!r}; there are {', '.join(self._fabric.spec.interrupts)}")
 
+    def transfer(self, name: str, address: int, length: int, done: Callable[[int, int], object]) -> Callable[[], None]:
+        """Have a channel move memory, as its engine's registers say. Raises SimError, NodeError."""
+        self.channels[name].begin(self._memory, address, length, done)
+        return self.channels[name].cancel
+
     def main_memory(self, address: int, length: int) -> NDArray[np.uint8]:
         """Main memory as a master in the PL sees it."""
         return self._memory.view(address, length)
@@ -130,6 +137,15 @@ class _Place:
         if link is None:
             raise SimError(f"no stream is on channel {stream!r}; there are {', '.join(self._models.links)}")
         return link.offer(stream, np.ascontiguousarray(data).reshape(-1).view(np.uint8))
+
+    def transfer(
+        self, channel: str, address: int, length: int, done: Callable[[int, int], object]
+    ) -> Callable[[], None]:
+        def ended(moved: int, status: int) -> None:
+            if self.model is not None:
+                self._models.guarded(self.model, done, moved, status)
+
+        return self._models.transfer(channel, address, length, ended)
 
     def after(self, seconds: float, call: Callable[[], object]) -> None:
         self._models.later(self, seconds, call)

@@ -144,10 +144,15 @@ class DmaMemory:
         Raises:
             SimError: no buffer has all of them.
         """
+        buffer, offset = self.at(address, length)
+        return buffer.bytes[offset : offset + length]
+
+    def at(self, address: int, length: int) -> tuple[Buffer, int]:
+        """The buffer that has these bytes, and where in it they begin. Raises SimError as `view`."""
         for buffer in self._placed:
             offset = address - buffer.address
             if offset >= 0 and offset + length <= buffer.length:
-                return buffer.bytes[offset : offset + length]
+                return buffer, offset
         raise SimError(f"no memory was allocated for {length} bytes at {address:#x}")
 
     def take(self, length: int) -> None:
