@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from cm.client.core import calls, typed_values
 from cm.client.errors import RequestNotFound
-from cm.client.places import AnyBoard, Places
+from cm.client.places import AnyBoard, Places, Words
 from cm.errors import NotFound
 from cm.wire.messages.status import BlockInfo, ErrorInfo, RegisterInfo
 
@@ -98,6 +98,11 @@ class Block:
     def write(self, offset: int, value: int) -> None:
         """Write a word. Raises as `read`."""
         self._places.write(self._address(offset), value)
+
+    @property
+    def words(self) -> Words:
+        """Its window, by index and slice: ``block.words[4:8] = [1, 2, 3, 4]``."""
+        return self._places.words(self.info.base_address, self.info.size)
 
     @property
     def memory(self) -> Memory:

@@ -8,21 +8,21 @@ import sys
 import threading
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
+from operator import index
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from cm.client.core import calls, memory, registers
-from cm.client.errors import ConnectionLost, RequestFailed
+from cm.client.errors import BoardClosed, ConnectionLost, RequestFailed, WindowRevoked
 from cm.errors import Forbidden, InvalidRequest, NotFound, Timeout
 from cm.wire.lazy_numpy import np
 from cm.wire.messages.status import BlockInfo, MemoryInfo, RegisterInfo, Status
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
-
     from cm.client.core.calls import Call
     from cm.client.events import EventStream
     from cm.client.interrupts import Interrupts
-    from cm.client.memories import Memories
+    from cm.client.memories import Memories, Memory
     from cm.client.register_window import RegisterWindow
     from cm.client.registers import Registers
 
@@ -64,10 +64,24 @@ class Places:
         self._blocks: tuple[BlockInfo, ...] = ()
         self._windows: dict[str, RegisterWindow | None] = {}  # by block; None: its registers go by requests
         self._memories: list[MemoryInfo] = []
+        self._loads: dict[int, Callable[[], int]] = {}  # by address
         self._written: dict[int, int] = {}  # words of write-only registers as this program wrote them
 
     def read(self, address: int) -> int:
-        """A word; of a write-only register what was written last. Raises NotFound where nothing is described."""
+        """A word; of a write-only register what was written last. Raises NotFound where nothing is described.
+
+        A load, where the board lends the window of the word's block.
+        """
+        load = self._loads.get(address)
+        if load is None:
+            load = self._loads[address] = self._load(address)
+        try:
+            return load()
+        except (WindowRevoked, BoardClosed):  # the latter: another thread has asked what there is now
+            self._loads.clear()
+            return self._load(address)()
+
+    def _ask(self, address: int) -> int:
         info, place = self._at(address)
         if isinstance(info, MemoryInfo):
             return int(self._board.memories[info.name].read(place, WORD).view("<u4")[0])
@@ -75,18 +89,16 @@ class Places:
             return self._written[address]
         return self._board.registers[info.name] >> place & WHOLE
 
-    def load(self, address: int) -> Callable[[], int] | None:
-        """What reads a word by one load, until it raises WindowRevoked; None where the word goes by requests."""
+    def _load(self, address: int) -> Callable[[], int]:
+        """What reads a word: one load until it raises WindowRevoked, or a request."""
         with self._lock:
-            info, place = self._at(address)
-            wrong = isinstance(info, RegisterInfo) and (place or info.width > 32)
-            if wrong or info.access == "wo" or (isinstance(info, MemoryInfo) and info.defined):
-                return None
-            for block in self._blocks:
+            info, _ = self._at(address)
+            plain = not info.defined if isinstance(info, MemoryInfo) else info.width <= 32 and info.access != "wo"
+            for block in self._blocks if plain else ():
                 if block.base_address <= address < block.base_address + block.size:
                     window = self._window(block.name)
-                    return None if window is None else window.word(address)
-        return None
+                    return partial(self._ask, address) if window is None else window.word(address)
+        return partial(self._ask, address)
 
     def _window(self, name: str) -> RegisterWindow | None:
         """The window of a block, for reading; there is none without the right, the kernel module or the machine."""
@@ -100,7 +112,11 @@ class Places:
         return self._windows[name]
 
     def write(self, address: int, value: int, mask: int = WHOLE) -> None:
-        """Write a word, or the bits of it in `mask`; those of a register by one request. Raises as `read`."""
+        """Write a word, or the bits of it in `mask`; those of a register by one request.
+
+        Raises as `read`, ValueError for what is no integer from -2^31 to 2^32 - 1.
+        """
+        value = _word(value)
         info, place = self._at(address)
         if isinstance(info, MemoryInfo):
             value = value if mask == WHOLE else self.read(address) & ~mask | value & mask
@@ -112,22 +128,16 @@ class Places:
             value = self._board.registers.write_masked(info.name, value << place, mask << place)
             self._written[address] = value >> place & WHOLE
 
-    def read_all(self, where: range) -> npt.NDArray[np.uint32]:
-        """Words at these addresses; those of a memory that follow each other by one request."""
-        info, place = self._at(where[0]) if where.step == WORD and where else (None, 0)
-        if isinstance(info, MemoryInfo) and where[-1] + WORD <= info.address + info.size:
-            raw = self._board.memories[info.name].read(place, WORD * len(where))
-            return np.asarray(raw.reshape(-1).view("<u4"), np.uint32)
-        return np.array([self.read(address) for address in where], np.uint32)
+    def words(self, address: int, size: int) -> Words:
+        """Those of a window of `size` bytes."""
+        return Words(self, range(address, address + size // WORD * WORD, WORD))
 
-    def write_all(self, where: range, words: npt.NDArray[Any]) -> None:
-        """Write words to these addresses; those of a memory that follow each other by one request."""
+    def memory(self, where: range) -> tuple[Memory | None, int]:
+        """The memory that has all words at these addresses, which follow each other, and where; None: none has."""
         info, place = self._at(where[0]) if where.step == WORD and where else (None, 0)
         if isinstance(info, MemoryInfo) and where[-1] + WORD <= info.address + info.size:
-            self._board.memories[info.name].write(words.astype("<u4").tobytes(), place)
-            return
-        for address, value in zip(where, words.tolist(), strict=True):
-            self.write(address, value)
+            return self._board.memories[info.name], place
+        return None, 0
 
     def registers(self, block: BlockInfo) -> list[RegisterInfo]:
         """The registers in a block's window."""
@@ -160,6 +170,7 @@ class Places:
                 if window is not None:
                     window.close()
             self._windows.clear()
+            self._loads.clear()
             self._memories = list(memory.visible(described).values())
 
     def _at(self, address: int) -> tuple[RegisterInfo | MemoryInfo, int]:
@@ -183,6 +194,54 @@ class Places:
             while (status := self._statuses.poll()) is not None:
                 changed = changed or _change(status) != self._change
         return changed
+
+
+class Words:
+    """The words of a window by index and slice, as a numpy array has them; reads are copies.
+
+    Those of a memory that follow each other go by one request, others one by one.
+    """
+
+    def __init__(self, places: Places, where: range) -> None:
+        self._places, self._where = places, where
+
+    def __len__(self) -> int:
+        return len(self._where)
+
+    def __getitem__(self, key: int | slice) -> Any:
+        """A word, or an array of them. Raises NotFound where nothing is described, IndexError."""
+        if not isinstance(key, slice):
+            return np.uint32(self._places.read(self._where[key]))
+        where = self._where[key]
+        memory, place = self._places.memory(where)
+        if memory is None:
+            return np.array([self._places.read(address) for address in where], np.uint32)
+        return np.asarray(memory.read(place, WORD * len(where)).reshape(-1).view("<u4"), np.uint32)
+
+    def __setitem__(self, key: int | slice, value: Any) -> None:
+        """Write a word, or as many as the slice has. Raises ValueError for what is no integer of 32 bits."""
+        if not isinstance(key, slice):
+            self._places.write(self._where[key], value)
+            return
+        where = self._where[key]
+        words = [_word(one) for one in np.broadcast_to(value, len(where)).tolist()]
+        memory, place = self._places.memory(where)
+        if memory is not None:
+            memory.write(np.array(words, "<u4").tobytes(), place)
+            return
+        for address, one in zip(where, words, strict=True):
+            self._places.write(address, one)
+
+
+def _word(value: int) -> int:
+    """An integer as a word, negative ones too. Raises ValueError for what is none."""
+    try:
+        number = index(value)
+    except TypeError:
+        raise ValueError(f"a word is an integer, not {type(value).__name__}") from None
+    if not -(1 << 31) <= number <= WHOLE:
+        raise ValueError(f"{number} is not a number of 32 bits")
+    return number & WHOLE
 
 
 def _ready(fd: int) -> Callable[[], bool]:

@@ -303,9 +303,11 @@ class Transfers(Writer):
         """Begin to transfer `nbytes` (0: the rest) of an array of `Board.allocate`, from byte `start` on.
 
         Up to four may be under way; `flush` waits for them, and `moved` is what the last one moved. A packet from the
-        hardware that is longer fails. Raises InvalidRequest for what is not the array's, Timeout, TransferFailed of an
-        earlier one.
+        hardware that is longer fails. Raises InvalidRequest for what is not the array's, TypeError, Timeout,
+        TransferFailed of an earlier one.
         """
+        if not isinstance(array, DeviceArray):
+            raise TypeError(f"transfers are of arrays of allocate(), not of {type(array).__name__}")
         length = nbytes or array.nbytes - start
         if start < 0 or length <= 0 or start + length > array.nbytes or not array.flags.c_contiguous:
             raise InvalidRequest(

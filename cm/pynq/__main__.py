@@ -10,10 +10,8 @@ from pathlib import Path
 from cm.pynq.alias import install
 
 if __name__ == "__main__":
-    if len(sys.argv) < 2:
-        sys.exit("usage: python -m cm.pynq program.py [ARGUMENT...]")
-    if not Path(sys.argv[1]).is_file():
-        sys.exit(f"{sys.argv[1]}: there is no such program")
+    if len(sys.argv) < 2 or not Path(sys.argv[1]).is_file():
+        sys.exit(f"usage: python -m cm.pynq program.py [ARGUMENT...]; no such file: {' '.join(sys.argv[1:2])}")
     try:
         install()
     except ImportError as error:

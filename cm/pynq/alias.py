@@ -1,28 +1,49 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``import pynq`` as this package, where PYNQ is not installed."""
+"""``import pynq`` as this package, where PYNQ is not installed; a sentence for what is not here."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from importlib import import_module
 from importlib.abc import MetaPathFinder
 from importlib.machinery import PathFinder
-from typing import Any
+from typing import NoReturn
 
-_MODULES = ("", "board", "buffer", "interrupt", "lib", "lib.axigpio", "lib.dma", "mmio", "overlay", "registers")
-_AS = {"board": ["board", "ps"], "buffer": ["buffer", "xlnk"], "overlay": ["overlay", "pl"]}  # modules of PYNQ's
+_MODULES = ("", "board", "buffer", "lib", "lib.axigpio", "lib.dma", "mmio", "overlay", "registers")
+_AS = {"board": ["interrupt", "ps"], "buffer": ["buffer", "xlnk"], "overlay": ["overlay", "pl"]}  # modules of PYNQ's
+_ELSEWHERE = {
+    "pynq.GPIO": "the processor's own GPIO is the kernel's (libgpiod); decouplers on it are the manager's",
+    "pynq.Device": "a program has one board, that of $CM_CONNECT or of this machine",
+    "pynq.lib.AxiIIC": "an AXI IIC is the kernel's (i2c-xiic): /dev/i2c-N, for the users who may open it",
+}
+
+
+def absent(module: str) -> Callable[[str], NoReturn]:
+    """The ``__getattr__`` of a module: its classes that are not here raise ImportError with a sentence."""
+
+    def find(name: str) -> NoReturn:
+        if not name[:1].isupper():  # submodules are looked for by import
+            raise AttributeError(f"module {module!r} has no attribute {name!r}")
+        raise ImportError(_sentence(f"{module}.{name}"))
+
+    return find
+
+
+def _sentence(name: str) -> str:
+    usual = (
+        "cm.pynq has overlays, registers, buffers, DMA, AXI GPIO and interrupts, and neither video, audio, boards' "
+        "peripherals nor MicroBlaze (docs/pynq.md)"
+    )
+    return f"{name} is not here: {_ELSEWHERE.get(name, usual)}"
 
 
 class _Missing(MetaPathFinder):
     """Says of what is not here that it is not."""
 
-    def find_spec(self, fullname: str, *_: Any) -> None:
+    def find_spec(self, fullname: str, *_: object) -> None:
         if fullname.partition(".")[0] == "pynq":
-            raise ModuleNotFoundError(
-                f"{fullname} is not here: cm.pynq has overlays, registers, buffers, DMA, AXI GPIO and interrupts, and "
-                "neither video, audio, boards' peripherals nor MicroBlaze (docs/pynq.md)",
-                name=fullname,
-            )
+            raise ModuleNotFoundError(_sentence(fullname), name=fullname)
 
 
 def install() -> None:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import PurePosixPath
+from itertools import accumulate
 from typing import Any
 
 from cm.formats import hwh as handoff
@@ -44,28 +44,25 @@ def blocks(hwh: Hwh) -> dict[str, dict[str, Any]]:
 def _register(info: RegisterInfo) -> dict[str, Any]:
     access = info.access or "read-write"
     fields = {
-        field.name: {
-            "bit_offset": field.lsb,
-            "bit_width": field.width,
-            "access": field.access or access,
-            "description": field.doc,
+        one.name: {
+            "bit_offset": one.lsb,
+            "bit_width": one.width,
+            "access": one.access or access,
+            "description": one.doc,
         }
-        for field in info.fields
+        for one in info.fields
     }
     known = {"address_offset": info.offset, "size": info.size, "access": access, "description": info.doc}
     return {**known, "fields": fields}
 
 
 def hierarchies(found: Mapping[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """`hierarchy_dict`: by path, each with the blocks and the hierarchies right in it by name."""
-    made: dict[str, dict[str, Any]] = {}
-    for path in map(PurePosixPath, found):
-        inner, kind, one = path, "ip", found[str(path)]
-        while (above := inner.parent).name:
-            new = str(above) not in made
-            there = made.setdefault(str(above), {"fullpath": str(above), "ip": {}, "hierarchies": {}})
-            there[kind][inner.name] = one
-            inner, kind, one = above, "hierarchies", there
-            if not new:
-                break
+    """`hierarchy_dict`: by path, each with the blocks and the hierarchies right in it by name; the design is ``""``."""
+    made: dict[str, dict[str, Any]] = {"": {"ip": {}, "hierarchies": {}}}
+    for path, block in found.items():
+        there, (*above, name) = made[""], path.split("/")
+        for full, last in zip(accumulate(above, "{}/{}".format), above, strict=True):
+            new = {"fullpath": full, "ip": {}, "hierarchies": {}}
+            there["hierarchies"][last] = there = made.setdefault(full, new)
+        there["ip"][name] = block
     return made

@@ -1,15 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one board of a program: PYNQ's calls name none."""
+"""The one board of a program, as PYNQ's calls name none; its interrupts, awaited, and its clocks."""
 
 from __future__ import annotations
 
+import asyncio
 import re
+from contextlib import suppress
 from functools import cache
 from typing import Any
 
 from cm.client.board import Board, connect
 from cm.client.places import Places
-from cm.client.writer import Transfers
+from cm.errors import Timeout
+
+_SLICE = 0.25  # seconds that a thread waits before it looks whether anybody still wants it to
 
 
 @cache
@@ -24,28 +28,40 @@ def places() -> Places:
     return Places(board())
 
 
-@cache
-def opened() -> dict[str, Transfers]:
-    """The channels of DMAs on which this program has transferred something, by stream."""
-    return {}
+class Interrupt:
+    """The interrupt of a pin, such as ``"filter/interrupt"``; whether there is one is checked when it is awaited."""
+
+    def __init__(self, pinname: str) -> None:
+        self._name = pinname.replace("/", "_").lower()
+
+    async def wait(self) -> None:
+        """Until it comes; one that came since this program's last wait counts. Raises RequestNotFound."""
+        while not await asyncio.get_running_loop().run_in_executor(None, self._came):
+            pass
+
+    def _came(self) -> bool:
+        with suppress(Timeout):
+            board().interrupts[self._name].wait(_SLICE)
+            return True
+        return False
 
 
-class _Clocks(type):
-    def __getattr__(cls, name: str) -> float:
+class _Clocks:
+    """``Clocks.fclk0_mhz`` and so on, in MHz. Setting one raises NotImplementedError."""
+
+    def __getattr__(self, name: str) -> float:
         found = re.fullmatch(r"(?:fclk|pl)(\d)_mhz", name)
-        if found is None:
-            raise AttributeError(f"Clocks has no {name!r}: it has fclk0_mhz to fclk3_mhz")
-        for clock in board().status.clocks:
-            if clock.name in (f"fclk{found[1]}", f"pl{found[1]}"):
+        names = (f"fclk{found[1]}", f"pl{found[1]}") if found else ()
+        for clock in board().status.clocks if names else ():
+            if clock.name in names:
                 return (clock.rate or clock.wanted) / 1e6
-        raise AttributeError(f"the loaded configuration has no clock {found[1]}")
+        raise AttributeError(f"the loaded configuration has no {name!r}, of fclk0_mhz to fclk3_mhz")
 
-    def __setattr__(cls, name: str, value: Any) -> None:
+    def __setattr__(self, name: str, value: Any) -> None:
         raise NotImplementedError(
             f"Clocks.{name} = {value}: a rate belongs to the configuration (`clocks:` of its schema), which sets it "
             "with each load"
         )
 
 
-class Clocks(metaclass=_Clocks):
-    """``Clocks.fclk0_mhz`` and so on, in MHz. Setting one raises NotImplementedError."""
+Clocks = _Clocks()

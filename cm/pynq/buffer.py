@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
+from functools import partialmethod
 from typing import Any
 
 import numpy.typing as npt
@@ -16,31 +16,17 @@ from cm.pynq.board import board
 class PynqBuffer(DeviceArray):
     """An array of `allocate`, or a slice of one.
 
-    `flush` and `invalidate` take the whole memory. Results of arithmetic and copies have no address: asking for one
-    raises InvalidRequest.
+    `flush` and `invalidate` take the whole memory, each time. Results of arithmetic and copies have no address: asking
+    for one raises InvalidRequest.
     """
 
     physical_address = DeviceArray.device_address
     freebuffer = DeviceArray.free
-
-    def sync_to_device(self) -> None:
-        """Make what was written visible to the device; again for what was written since."""
-        self.hand_over(to_device=True)
-
-    def sync_from_device(self) -> None:
-        """Make what the device has written visible here; again for what it has written since."""
-        self.hand_over(to_device=False)
-
-    flush, invalidate = sync_to_device, sync_from_device
-
-    @property
-    def virtual_address(self) -> int:
-        """The address of its first byte in this process."""
-        return int(self.__array_interface__["data"][0])
+    sync_to_device = flush = partialmethod(DeviceArray.hand_over, to_device=True)
+    sync_from_device = invalidate = partialmethod(DeviceArray.hand_over, to_device=False)
 
     def close(self) -> None:
         """Nothing, as PYNQ's."""
-        warnings.warn(".close no longer functional - use scopes to manage buffers", DeprecationWarning, stacklevel=2)
 
     def __enter__(self) -> PynqBuffer:
         return self

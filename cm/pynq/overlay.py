@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -13,14 +12,9 @@ from cm.formats.hwh import read
 from cm.formats.importers import described_by, to_name
 from cm.pynq.blocks import Description as Description
 from cm.pynq.blocks import blocks, hierarchies
-from cm.pynq.board import board, places
-from cm.pynq.interrupt import Interrupt
+from cm.pynq.board import Interrupt, board, places
 from cm.pynq.mmio import MMIO
-from cm.pynq.registers import RegisterMap
-
-
-class UnsupportedConfiguration(Exception):
-    """A block is configured in a way that its class cannot drive."""
+from cm.pynq.registers import Named, RegisterMap
 
 
 class DefaultIP:
@@ -38,15 +32,12 @@ class DefaultIP:
         """`description` is an entry of `Overlay.ip_dict`. Interrupts are attributes by the names of their ports."""
         self.description = description
         self.mmio = MMIO(description["phys_addr"], description["addr_range"])
-        pins = description.get("interrupts", {})
-        self.interrupts = {name: Interrupt(pin["fullpath"]) for name, pin in pins.items()}
-        vars(self).update(self.interrupts)
+        for name, pin in description.get("interrupts", {}).items():
+            setattr(self, name, Interrupt(pin["fullpath"]))
 
     @property
     def register_map(self) -> RegisterMap:
-        """Registers by name. Raises AttributeError where the `.hwh` describes none."""
-        if not self.description.get("registers"):
-            raise AttributeError("register_map only available if the .hwh describes registers")
+        """Registers by name."""
         return RegisterMap(self.mmio, self.description["registers"])
 
     def read(self, offset: int = 0) -> int:
@@ -58,7 +49,7 @@ class DefaultIP:
         self.mmio.write(offset, value)
 
 
-class DefaultHierarchy:
+class DefaultHierarchy(Named):
     """Blocks as attributes. A subclass whose `checkhierarchy` accepts a hierarchy is what the overlay gives for it."""
 
     drivers: ClassVar[list[type[DefaultHierarchy]]] = []
@@ -69,29 +60,20 @@ class DefaultHierarchy:
 
     def __init__(self, description: Description) -> None:
         self.description = description
+        self._known = {**description["hierarchies"], **description["ip"]}
 
     @staticmethod
     def checkhierarchy(description: Description) -> bool:  # noqa: ARG004 (for subclasses)
         """Whether the class is for this one; `description` has blocks in `ip`, hierarchies in `hierarchies`."""
         return False
 
-    def _inside(self) -> Mapping[str, Any]:
-        found = vars(self).get("description", {})
-        return {**found.get("hierarchies", {}), **found.get("ip", {})}
-
     def __getattr__(self, name: str) -> Any:
-        inside = {} if name.startswith("_") else self._inside()
-        if name not in inside:
-            there = ", ".join(inside) or "none"
-            raise AttributeError(f"Could not find IP or hierarchy {name} in overlay; there are: {there}")
-        return vars(self).setdefault(name, _made(inside[name]))
-
-    def __dir__(self) -> list[str]:
-        return [*super().__dir__(), *self._inside()]
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return vars(self).setdefault(name, _made(self._find(name)))
 
 
 def _made(description: Description) -> Any:
-    import_module("cm.pynq.lib")  # binds the classes that are here
     if "hierarchies" in description:
         accepting = (kind for kind in DefaultHierarchy.drivers if kind.checkhierarchy(description))
         return next(accepting, DefaultHierarchy)(description)
@@ -122,21 +104,13 @@ class Overlay(DefaultHierarchy):
         bit = Path(bitfile_name).absolute()
         if not bit.is_file():
             raise FileNotFoundError(f"Bitstream file {bitfile_name} does not exist. Name the one that was imported.")
-        _check_dtbo(bit, dtbo)
         self.bitfile_name, self._name = str(bit), to_name(bit.stem)
         self.ip_dict = blocks(read(described_by(bit)))
         self.hierarchy_dict = hierarchies(self.ip_dict)
-        top = {"ip": self.ip_dict, "hierarchies": self.hierarchy_dict}
-        super().__init__(
-            {kind: {name: one for name, one in all_.items() if "/" not in name} for kind, all_ in top.items()}
-        )
+        super().__init__(self.hierarchy_dict.pop(""))
         if download:
-            self.download()
+            self.download(dtbo)
         PL.bitfile_name, PL.ip_dict = self.bitfile_name, self.ip_dict
-
-    def __init_subclass__(cls, **options: Any) -> None:
-        """Not the class of a hierarchy."""
-        super(DefaultHierarchy, cls).__init_subclass__(**options)
 
     def download(self, dtbo: str | None = None) -> None:
         """Load it, anew if it is loaded already. Raises NotFound without the configuration, and as `Board.load`."""
@@ -155,12 +129,10 @@ class Overlay(DefaultHierarchy):
         Raises NotFound for a region or a bitstream that the configuration does not have.
         """
         _check_dtbo(Path(partial_bit), dtbo)
-        mode = to_name(Path(partial_bit).stem)
-        for name, known in ((to_name(partial_region), board().regions), (mode, board().modes)):
-            if name not in known:
-                raise NotFound(f"the configuration {self._name} has no {name!r}; it has: {', '.join(known) or 'none'}")
+        if to_name(partial_region) not in board().regions:
+            raise NotFound(f"no region {partial_region!r}; there are: {', '.join(board().regions) or 'none'}")
         if program:
-            board().mode = mode
+            board().mode = to_name(Path(partial_bit).stem)
             places().refresh()
 
     def is_loaded(self) -> bool:
@@ -171,7 +143,7 @@ class Overlay(DefaultHierarchy):
         """Nothing: it stays loaded until another one is, as in PYNQ."""
 
     def _inside(self) -> Mapping[str, Any]:
-        if "description" in vars(self) and not self.is_loaded():
+        if not self.is_loaded():
             raise RuntimeError("Overlay not currently loaded")
         return super()._inside()
 

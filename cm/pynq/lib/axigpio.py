@@ -7,7 +7,7 @@ import asyncio
 from functools import partialmethod
 from typing import ClassVar
 
-from cm.pynq.interrupt import Interrupt
+from cm.pynq.board import Interrupt
 from cm.pynq.overlay import DefaultIP, Description
 
 _IN, _OUT, _BOTH = "in", "out", "inout"
@@ -23,18 +23,15 @@ class Wires:
         self._channel, self._start, self._mask = channel, start, (1 << (stop - start)) - 1
 
     def read(self) -> int:
-        """Their value; of outputs what was written last. Wires of both directions become inputs."""
-        if self._channel.direction == _BOTH:
-            self._channel.trimask |= self._mask << self._start
-        value = self._channel.written if self._channel.direction == _OUT else self._channel.read()
-        return value >> self._start & self._mask
+        """Their value. Wires of both directions become inputs."""
+        self._channel.turn(self._mask << self._start, inputs=True)
+        return self._channel.read() >> self._start & self._mask
 
     def write(self, val: int) -> None:
         """Write them; those of both directions become outputs. Raises ValueError before anything is changed."""
         if not 0 <= val <= self._mask:
             raise ValueError(f"{val} too large for {self._mask.bit_length()} bits")
-        if self._channel.direction == _BOTH:
-            self._channel.trimask &= ~(self._mask << self._start)
+        self._channel.turn(self._mask << self._start, inputs=False)
         self._channel.write(val << self._start, self._mask << self._start)
 
     def on(self) -> None:
@@ -61,7 +58,7 @@ class Channel:
     """Up to 32 wires: ``channel[3].on()``, ``channel[0:4].write(9)``."""
 
     def __init__(self, parent: AxiGPIO, number: int) -> None:
-        self._parent, self._number, self._waiting = parent, number, 0
+        self._parent, self._number = parent, number
         self.direction, self.length, self.written = _BOTH, 32, 0
 
     def __getitem__(self, wires: int | slice) -> Wires:
@@ -71,14 +68,9 @@ class Channel:
             raise IndexError("Steps other than 1 not supported")
         return Wires(self, wires.start or 0, self.length if wires.stop is None else wires.stop)
 
-    def __len__(self) -> int:
-        return self.length
-
     def read(self) -> int:
-        """All wires. Raises RuntimeError of outputs."""
-        if self.direction == _OUT:
-            raise RuntimeError("You cannot read from an output")
-        return self._parent.read(8 * self._number)
+        """All wires; of outputs what was written last."""
+        return self.written if self.direction == _OUT else self._parent.read(8 * self._number)
 
     def write(self, val: int, mask: int) -> None:
         """Write the wires in `mask`. Raises RuntimeError of inputs."""
@@ -87,14 +79,10 @@ class Channel:
         self.written = (self.written & ~mask) | (val & mask)
         self._parent.write(8 * self._number, self.written)
 
-    @property
-    def trimask(self) -> int:
-        """Which wires are inputs."""
-        return self._parent.read(8 * self._number + 4)
-
-    @trimask.setter
-    def trimask(self, value: int) -> None:
-        self._parent.write(8 * self._number + 4, value)
+    def turn(self, mask: int, inputs: bool) -> None:
+        """Make the wires in `mask` inputs or outputs, in a channel of both directions."""
+        if self.direction == _BOTH:
+            self._parent.mmio.write_masked(8 * self._number + 4, mask * inputs, mask)
 
     def setlength(self, length: int) -> None:
         """Set the number of wires."""
@@ -111,15 +99,9 @@ class Channel:
         pins, mask = self._parent.description["interrupts"], 1 << self._number
         if "ip2intc_irpt" not in pins:
             raise RuntimeError("Interrupts not available for this IP")
-        interrupt = Interrupt(pins["ip2intc_irpt"]["fullpath"] + ("_2" if self._number else ""))  # by its status bit
-        self._waiting += 1
+        self._parent.write(_GLOBAL, 1 << 31)
         self._parent.mmio.write_masked(_ENABLE, mask, mask)
-        try:
-            await interrupt.wait()
-        finally:
-            self._waiting -= 1
-            if not self._waiting:
-                self._parent.mmio.write_masked(_ENABLE, 0, mask)
+        await Interrupt(pins["ip2intc_irpt"]["fullpath"] + ("_2" if self._number else "")).wait()  # by its status bit
 
 
 class AxiGPIO(DefaultIP):
@@ -133,8 +115,6 @@ class AxiGPIO(DefaultIP):
     def __init__(self, description: Description) -> None:
         super().__init__(description)
         self.channel1, self.channel2 = self._channels = (Channel(self, 0), Channel(self, 1))
-        if self.interrupts:
-            self.write(_GLOBAL, 1 << 31)
 
     def setlength(self, length: int, channel: int = 1) -> None:
         """Set the number of wires of channel 1 or 2."""

@@ -5,12 +5,14 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 from cm.client.errors import ConnectionLost
+from cm.client.places import WHOLE
 from cm.client.writer import Transfers
 from cm.errors import CmError, Timeout
-from cm.pynq.board import board, opened
+from cm.pynq.board import board
 from cm.pynq.buffer import PynqBuffer
 from cm.pynq.mmio import MMIO
 from cm.pynq.overlay import DefaultIP, Description
@@ -20,8 +22,8 @@ class _Channel:
     """One direction. The engine reads and writes the buffers themselves."""
 
     def __init__(self, stream: str) -> None:
-        self._stream = stream
-        self._failed = ""
+        self._stream, self._failed = stream, ""
+        self._begun: Transfers | None = None
         self.running = True
         self.address = 0  # of the last transfer's first byte, for the device
 
@@ -38,8 +40,7 @@ class _Channel:
     @property
     def transferred(self) -> int:
         """Bytes of the last transfer, once it has ended."""
-        begun = self._begun
-        return begun.moved if begun is not None and self.idle else 0
+        return self._begun.moved if self.idle and self._begun is not None else 0
 
     def start(self) -> None:
         """Let transfers begin, after `stop`."""
@@ -47,7 +48,7 @@ class _Channel:
 
     def stop(self) -> None:
         """Give the stream back, until `start`; a transfer under way is given up."""
-        begun, self.running = opened().pop(self._stream, None), False
+        begun, self._begun, self.running = self._begun, None, False
         if begun is not None:
             begun.close()
 
@@ -58,14 +59,10 @@ class _Channel:
         """
         if cyclic:
             raise NotImplementedError("transfer(cyclic=True): cm.connect().configure_stream(name, cyclic=True) has it")
-        if not isinstance(array, PynqBuffer):
-            raise TypeError(f"a DMA transfers buffers of allocate(), not {type(array).__name__}")
         if not self.running or not self._ended(0):
             raise RuntimeError(f"DMA channel not {'idle' if self.running else 'started'}")
-        begun = self._begun
-        if begun is None:
-            begun = opened()[self._stream] = board().transfers(self._stream)
-        begun.begin(array, start, nbytes)
+        self._begun = self._begun or board().transfers(self._stream)
+        self._begun.begin(array, start, nbytes)
         self.address, self._failed = array.physical_address + start, ""
 
     def wait(self) -> None:
@@ -81,29 +78,28 @@ class _Channel:
         loop, came = asyncio.get_running_loop(), asyncio.Event()
         while (begun := self._begun) is not None and not self._ended(0):
             loop.add_reader(begun.fileno(), came.set)
-            await came.wait()
-            loop.remove_reader(begun.fileno())
+            try:
+                await came.wait()
+            finally:
+                loop.remove_reader(begun.fileno())
             came.clear()
         self.wait()
 
-    @property
-    def _begun(self) -> Transfers | None:
-        return opened().get(self._stream)
-
     def _ended(self, seconds: float | None) -> bool:
         """Whether nothing is under way any more, after so many seconds at most."""
-        begun = self._begun
         try:
-            if begun is not None:
-                begun.flush(seconds)
+            if self._begun is not None:
+                self._begun.flush(seconds)
         except Timeout:
             return False
-        except ConnectionLost as error:
-            opened().pop(self._stream, None)
-            self._failed = str(error)
         except CmError as error:
             self._failed = str(error)
+            if isinstance(error, ConnectionLost):  # the next transfer asks for the stream again
+                self._begun = None
         return True
+
+
+_channel = cache(_Channel)  # a stream is one client's alone: the overlays of a program have its channel in common
 
 
 class _Engine(MMIO):
@@ -111,21 +107,18 @@ class _Engine(MMIO):
 
     channels: Mapping[int, _Channel | None]
 
-    def read(self, offset: int = 0, length: int = 4, word_order: str = "little") -> int:
+    def read(self, offset: int = 0, length: int = 4) -> int:  # noqa: ARG002 - a window's signature
         """Control (run), status (halted, idle, error), address and length of a channel; 0 for the rest."""
-        del word_order
-        base = 0x30 if offset >= 0x30 else 0
-        channel = self.channels[base]
-        if channel is None or not super()._address(offset, length):
+        channel = self.channels.get(offset // 0x30 * 0x30)
+        if channel is None:
             return 0
         status = int(not channel.running) | channel.idle << 1 | channel.error << 4
-        known = {0x00: int(channel.running), 0x04: status, 0x18: channel.address, 0x1C: channel.address >> 32}
-        return {**known, 0x28: channel.transferred}.get(offset - base, 0) & ((1 << 8 * length) - 1)
+        known = {0x00: int(channel.running), 0x04: status, 0x18: channel.address & WHOLE, 0x1C: channel.address >> 32}
+        return {**known, 0x28: channel.transferred}.get(offset % 0x30, 0)
 
     def write(self, offset: int, data: Any) -> None:
         """Not possible."""
-        said = "a DMA's registers are the driver's"
-        raise NotImplementedError(f"{said} ({offset:#x} = {data}): transfer, start and stop")
+        raise NotImplementedError(f"a DMA's registers are the driver's ({offset:#x} = {data}): transfer, start, stop")
 
 
 class DMA(DefaultIP):
@@ -135,7 +128,9 @@ class DMA(DefaultIP):
 
     def __init__(self, description: Description) -> None:
         super().__init__(description)
-        there = {way: _Channel(stream) for way, stream in description["channels"].items()}
+        there = {way: _channel(stream) for way, stream in description["channels"].items()}
         self.sendchannel, self.recvchannel = there.get("mm2s"), there.get("s2mm")
         self.mmio = _Engine(description["phys_addr"], description["addr_range"])
         self.mmio.channels = {0x00: self.sendchannel, 0x30: self.recvchannel}
+        for channel in there.values():
+            channel.start()

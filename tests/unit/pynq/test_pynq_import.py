@@ -39,12 +39,12 @@ def test_a_program_finds_pynq_its_own_folder_and_its_arguments(tmp_path: Path) -
     ("line", "said"),
     [
         (
-            "from pynq.lib import AxiIIC; AxiIIC.send(None, 1, b'', 1)",
+            "from pynq.lib import AxiIIC",
             "the kernel's (i2c-xiic): /dev/i2c-N",
         ),
         ("from pynq.overlays.base import BaseOverlay", "pynq.overlays is not here: cm.pynq has overlays, registers"),
         ("import pynq.lib.video", "pynq.lib.video is not here: cm.pynq has overlays, registers"),
-        ("from pynq.lib import AudioADAU1761", "pynq.lib.AudioADAU1761 is not here: of pynq.lib there are AxiGPIO and"),
+        ("from pynq.lib import AudioADAU1761", "pynq.lib.AudioADAU1761 is not here: cm.pynq has overlays"),
         ("from pynq import GPIO", "pynq.GPIO is not here: the processor's own GPIO is the kernel's"),
     ],
 )

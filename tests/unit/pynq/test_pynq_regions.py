@@ -107,7 +107,7 @@ def test_a_partial_bitstream_is_loaded_into_its_region(overlay: pynq.Overlay) ->
 
 @pytest.mark.parametrize(("region", "bit"), [("pr_1", "pr_0_edge.bit"), ("pr_0", "other.bit")])
 def test_a_region_or_bitstream_that_is_not_there_is_named(overlay: pynq.Overlay, region: str, bit: str) -> None:
-    with pytest.raises(NotFound, match="the configuration top has no"):
+    with pytest.raises(NotFound, match=r"pr_1|other"):
         overlay.pr_download(region, bit)
 
 
