@@ -331,7 +331,7 @@ class Transfers(Writer):
         longer = " (a packet may have been longer)" if failed.offset == errno.EIO else ""
         return f"a transfer failed after {failed.length} of {asked} bytes{longer}"
 
-    def slot(self, *_: Any, **__: Any) -> Any:
+    def slot(self, length: int = 0, timeout: Limit = DEFAULT) -> Any:  # noqa: ARG002 - a writer's signature
         """Not possible: there are no slots."""
         raise InvalidRequest(f"stream {self.name!r} transfers the memory of arrays: begin(array)")
 

@@ -687,16 +687,17 @@ TWINS: list[tuple[type, type]] = [
     (memories.Memories, aio_memories.Memories),
     (stream.Stream, aio_stream.Stream),
     (writer.Writer, aio_writer.AsyncWriter),
+    (writer.Transfers, aio_writer.AsyncTransfers),
 ]
-# For mappings, for event loops, for what a thread has to do itself; blocks, whose accesses are not awaited, and
-# transfers, whose descriptor an event loop watches.
+# For mappings, for event loops, for what a thread has to do itself; blocks, whose accesses are not awaited.
 ONLY = {
-    "Board": {"blocks", "transfers"},
+    "Board": {"blocks"},
     "Registers": {"clear", "items", "keys", "pop", "popitem", "setdefault", "update", "values"},
     "Memories": {"get", "items", "keys", "values"},
     "EventStream": {"open"},
     "Stream": {"aclose"},
     "Writer": {"poll", "fileno", "open", "catch_up", "lend", "send", "nothing"},
+    "Transfers": {"poll", "fileno", "open", "catch_up", "lend", "send", "nothing", "moved"},
 }
 
 

@@ -22,7 +22,7 @@ from cm.client.aio.memories import Memories, Memory
 from cm.client.aio.registers import Registers
 from cm.client.aio.request_reply import Link, Subscription
 from cm.client.aio.stream import AsyncLocalStream, AsyncRemoteStream, Stream
-from cm.client.aio.writer import AsyncWriter
+from cm.client.aio.writer import AsyncTransfers, AsyncWriter
 from cm.client.attribute_guard import Guarded
 from cm.client.connections import ByName, Sockets
 from cm.client.core import calls, change, leases, uploads
@@ -340,6 +340,14 @@ class Board(Guarded):
         """Slots of `length` bytes that need no hardware: what is sent is done at once. For measuring."""
         wanted = Open("", Purpose.ECHO, depth=depth, length=length)
         return self._sockets.using(AsyncWriter(self, self._place.data_folder("an echo"), wanted, timeout))
+
+    def transfers(self, name: str, timeout: float | None = 5.0, *, lease: str = "") -> AsyncTransfers:
+        """Transfer arrays of `allocate` to a stream, or from it into them: ``await transfers.begin(array)``.
+
+        The stream is nobody else's meanwhile (RequestBusy). On the manager's machine only.
+        """
+        wanted = Open(name, Purpose.TRANSFER, lease=self._leases.named(lease))
+        return self._sockets.using(AsyncTransfers(self, self._place.data_folder("a transfer"), wanted, timeout))
 
     async def read(self, stream: str = "", timeout: float | None = 1.0) -> Frame:
         """The next frame of a stream; `timeout` in seconds, None waits for ever. Raises RequestTimeout."""

@@ -16,10 +16,11 @@ from cm.client.aio.waiting import Waits
 from cm.client.core.flow_effects import DEFAULT, Deadline, Limit, seconds, time_limit
 from cm.client.errors import BoardClosed
 from cm.errors import InvalidRequest, Timeout
-from cm.wire.plane_packets import Descriptor, Geometry, Open
+from cm.wire.plane_packets import Descriptor, Geometry, Open, Purpose
 
 if TYPE_CHECKING:
     from cm.client.aio.request_reply import Caller
+    from cm.client.allocation import DeviceArray
     from cm.client.writer import Writer
 
 
@@ -35,10 +36,11 @@ class AsyncWriter:
         self._waits = Waits()
 
     async def __aenter__(self) -> AsyncWriter:
-        from cm.client.writer import Writer  # imported here: only Linux has such sockets
+        from cm.client.writer import Transfers, Writer  # imported here: only Linux has such sockets
 
         def opened() -> None:
-            writer = self._writer = Writer(self._folder, self._wanted, self._timeout)
+            kind = Transfers if self._wanted.purpose is Purpose.TRANSFER else Writer
+            writer = self._writer = kind(self._folder, self._wanted, self._timeout)
             if self._ended is not None:  # an end() from here on finds the writer
                 writer.end(self._ended)
             writer.open()
@@ -125,3 +127,21 @@ class AsyncWriter:
 
     def __repr__(self) -> str:
         return f"<writer of {self.name or 'an echo'}>"
+
+
+class AsyncTransfers(AsyncWriter):
+    """Transfers of one's own memory; see `Transfers`. Entered with ``async with``."""
+
+    async def begin(self, array: DeviceArray, start: int = 0, nbytes: int = 0, timeout: Limit = DEFAULT) -> None:
+        """Begin to transfer `nbytes` (0: the rest) of an array of `Board.allocate`, from byte `start` on.
+
+        Raises as `Transfers.begin`.
+        """
+        transfers: Any = self._entered()
+        await self._until(lambda: transfers.free > 0, timeout)
+        transfers.begin(array, start, nbytes)
+
+    @property
+    def moved(self) -> int:
+        """Bytes that the last one moved."""
+        return self._entered().moved

@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
+import asyncio
 import tracemalloc
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from manager_process import served, until
+from manager_process import Manager, served, until
 
+import cm.aio
 from cm.client.board import Board
 from cm.client.errors import TransferFailed
 from cm.errors import Busy, InvalidRequest
@@ -19,10 +21,16 @@ SIZE = 4 << 20
 
 
 @pytest.fixture(scope="module")
-def both() -> Iterator[tuple[Board, SimBoard]]:
-    with served() as (manager, sim), manager.connected() as board:
+def place() -> Iterator[tuple[Manager, SimBoard]]:
+    with served() as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def both(place: tuple[Manager, SimBoard]) -> Iterator[tuple[Board, SimBoard]]:
+    with place[0].connected() as board:
         board.load("camera", mode="loopback")
-        yield board, sim
+        yield board, place[1]
 
 
 @pytest.fixture
@@ -45,6 +53,23 @@ def test_nothing_is_copied_on_the_way(board: Board) -> None:
     assert (receive.moved, bool((result == source).all())) == (SIZE, True)
     assert {streams["to_pl"].slots, streams["from_pl"].slots} == {0}  # there is no other memory to copy through
     assert most < SIZE // 16
+
+
+def test_a_task_transfers_while_another_waits(place: tuple[Manager, SimBoard], both: tuple[Board, SimBoard]) -> None:
+    async def there_and_back() -> tuple[int, list[int]]:
+        async with cm.aio.connect(runtime_dir=place[0].runtime) as board:
+            source, result = [await board.allocate(64) for _ in range(2)]
+            source[:] = 9
+            async with board.transfers("to_pl") as send, board.transfers("from_pl") as receive:
+                await receive.begin(result)
+                waiting = asyncio.create_task(receive.flush())
+                await send.begin(source)
+                await asyncio.gather(send.flush(), waiting)
+                with pytest.raises(InvalidRequest, match="60 to 68 are not in one piece"):
+                    await receive.begin(result, 60, 8)
+                return receive.moved, result.tolist()
+
+    assert asyncio.run(there_and_back()) == (64, [9] * 64)
 
 
 def test_four_are_under_way_and_a_part_leaves_the_rest_alone(board: Board) -> None:
