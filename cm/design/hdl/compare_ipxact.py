@@ -85,7 +85,9 @@ def _ports(extracted: ModuleInfo, ipxact: ModuleInfo) -> Iterator[Difference]:
     for name in (name for name in theirs if name not in ours):
         yield Difference("port", theirs[name].name, f"port {theirs[name].name} is in IP-XACT only")
     for name in (name for name in ours if name not in theirs):
-        yield Difference("port", ours[name].name, f"port {ours[name].name} is in the HDL only: IP-XACT lacks or disables it")
+        yield Difference(
+            "port", ours[name].name, f"port {ours[name].name} is in the HDL only: IP-XACT lacks or disables it"
+        )
     for name, port in ours.items():
         other = theirs.get(name)
         if other is None:
