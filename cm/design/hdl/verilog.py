@@ -88,6 +88,8 @@ def expression(value: str) -> str:
     text = value.strip()
     if text in ("True", "False"):
         return str(int(text == "True"))
+    if text.isdecimal() and int(text) >> 31:  # which slang, without a size, takes for a negative number or for none
+        return f"64'd{text}"
     return text if _NUMBER.fullmatch(text) or (len(text) > 1 and text[0] == text[-1] == '"') else f'"{text}"'
 
 

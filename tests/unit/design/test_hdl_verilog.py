@@ -397,7 +397,7 @@ def test_string_and_real_parameters_keep_their_kind(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("given", "value"),
-    [("3", 3), ("-1", -1), ("8'hFF", 255), ("2*(3+1)", 8), ("True", 1), ("slow", "slow"), ('"x"', "x")],
+    [("2147483648", 1 << 31), ("-1", -1), ("8'hFF", 255), ("2*(3+1)", 8), ("True", 1), ("slow", "slow"), ('"x"', "x")],
 )
 def test_parameter_is_set_to_a_number_or_a_string(tmp_path: Path, given: str, value: object) -> None:
     found = ports(tmp_path, "input clk", "parameter P = 0", parameters={"P": given})
