@@ -25,6 +25,7 @@ ROOT = Path(__file__).resolve().parent
 PROTO = "cm/wire/cm.proto"
 GENERATED = "cm/wire/cm_pb2.py"
 CLASSES = "cm/wire/messages/_proto.py"
+BLOCKING = {"cm/client/_operations.py": "cm/client/aio/operations.py", "cm/client/lease.py": "cm/client/aio/lease.py"}
 SCHEMA = "cm/schema/data/runtime.schema.json"
 VALIDATOR = "cm/schema/_validator.py"
 INTERFACES = "cm/networks/rmw_zenoh/_cm_interfaces.py"
@@ -85,6 +86,15 @@ def generate_classes(target: Path) -> None:
     written(target, source((ROOT / PROTO).read_text(encoding="utf-8")))
 
 
+def generate_blocking(target: Path, awaited: Path) -> None:
+    """Write a module of the blocking client, from its twin in the asyncio client."""
+    text = awaited.read_text(encoding="utf-8")
+    words = {"async def __a": "def __", "async def ": "def ", "await ": "", "client.aio.": "client."}
+    for word, other in words.items():
+        text = text.replace(word, other)
+    written(target, text)
+
+
 def generate_interfaces(target: Path) -> None:
     """Write ros2/cm_interfaces as a module, without comments and constants."""
     found = {}
@@ -113,6 +123,8 @@ def generate_all(base: Path) -> None:
     """Everything that is generated, below a folder."""
     generate(base / GENERATED)
     generate_classes(base / CLASSES)
+    for blocking, awaited in BLOCKING.items():
+        generate_blocking(base / blocking, ROOT / awaited)
     generate_interfaces(base / INTERFACES)
     generate_validator(base / VALIDATOR)
 
@@ -133,7 +145,7 @@ class BuildPy(build_py):
         base = self._base()
         made = [
             str(base / name)
-            for name in (GENERATED, CLASSES, INTERFACES, VALIDATOR)
+            for name in (GENERATED, CLASSES, *BLOCKING, INTERFACES, VALIDATOR)
             if name != VALIDATOR or (base / name).exists()
         ]
         return [*outputs, *(target for target in made if target not in outputs)]

@@ -160,7 +160,8 @@ def _object(module: str, found: Any) -> list[str]:
     if start is not None and not start.is_alias and start.docstring is not None:
         lines += [*_signature(start, found.name), *_text(start)]
     lines += _fields(found)
-    for name, member in found.members.items():
+    inherited = [base.members for base in found.resolved_bases if base.name == "Operations"]  # of a board
+    for name, member in ({**inherited[0], **found.members} if inherited else found.members).items():
         if is_public(name, member) and (member.is_function or "property" in member.labels):
             lines += _member(found, member)
     return lines

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A lease of the asyncio client."""
+"""A lease as a context manager; setup.py makes the blocking `cm.client.lease` of it, without `await`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,13 @@ if TYPE_CHECKING:
 
 
 class BoardLease:
-    """As `cm.client.lease.BoardLease`, awaited."""
+    """Held from entering to leaving, or until its time is over; `renew()` restarts its time.
+
+    Leaving raises RequestNotFound where it had ended before; what ends the block with an error passes as it is.
+
+    Meanwhile this board's own calls pass; `id` goes into the ``lease=`` of others. It also ends when this
+    process dies (on the manager's machine).
+    """
 
     def __init__(self, board: Caller, held: HeldLeases, request: TakeLease) -> None:
         self._board = board
