@@ -8,7 +8,6 @@ import sys
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from functools import partial
 from operator import index
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
@@ -64,22 +63,27 @@ class Places:
         self._blocks: tuple[BlockInfo, ...] = ()
         self._windows: dict[str, RegisterWindow | None] = {}  # by block; None: its registers go by requests
         self._memories: list[MemoryInfo] = []
-        self._loads: dict[int, Callable[[], int]] = {}  # by address
         self._written: dict[int, int] = {}  # words of write-only registers as this program wrote them
 
     def read(self, address: int) -> int:
-        """A word; of a write-only register what was written last. Raises NotFound where nothing is described.
+        """A word; of a write-only register what was written last. Raises NotFound where nothing is described."""
+        return self.reader(address)()
 
-        A load, where the board lends the window of the word's block.
-        """
-        load = self._loads.get(address)
-        if load is None:
-            load = self._loads[address] = self._load(address)
-        try:
-            return load()
-        except (WindowRevoked, BoardClosed):  # the latter: another thread has asked what there is now
-            self._loads.clear()
-            return self._load(address)()
+    def reader(self, address: int) -> Callable[[], int]:
+        """What reads a word as often as it is called: by a load, where the board lends the window of its block."""
+        load: Callable[[], int] | None = None
+
+        def read() -> int:
+            nonlocal load
+            try:
+                if load is not None:
+                    return load()
+            except (WindowRevoked, BoardClosed):  # the latter: somebody has asked what there is now
+                pass
+            load = self._load(address)
+            return self._ask(address) if load is None else load()
+
+        return read
 
     def _ask(self, address: int) -> int:
         info, place = self._at(address)
@@ -89,16 +93,16 @@ class Places:
             return self._written[address]
         return self._board.registers[info.name] >> place & WHOLE
 
-    def _load(self, address: int) -> Callable[[], int]:
-        """What reads a word: one load until it raises WindowRevoked, or a request."""
+    def _load(self, address: int) -> Callable[[], int] | None:
+        """What reads a word by one load, until it raises WindowRevoked; None where the word goes by requests."""
         with self._lock:
             info, _ = self._at(address)
             plain = not info.defined if isinstance(info, MemoryInfo) else info.width <= 32 and info.access != "wo"
             for block in self._blocks if plain else ():
                 if block.base_address <= address < block.base_address + block.size:
                     window = self._window(block.name)
-                    return partial(self._ask, address) if window is None else window.word(address)
-        return partial(self._ask, address)
+                    return None if window is None else window.word(address)
+        return None
 
     def _window(self, name: str) -> RegisterWindow | None:
         """The window of a block, for reading; there is none without the right, the kernel module or the machine."""
@@ -170,7 +174,6 @@ class Places:
                 if window is not None:
                     window.close()
             self._windows.clear()
-            self._loads.clear()
             self._memories = list(memory.visible(described).values())
 
     def _at(self, address: int) -> tuple[RegisterInfo | MemoryInfo, int]:

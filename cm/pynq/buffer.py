@@ -35,9 +35,8 @@ class PynqBuffer(DeviceArray):
         self.free()
 
 
-def allocate(shape: int | Sequence[int], dtype: npt.DTypeLike = "u4", target: Any = None, **_: Any) -> PynqBuffer:
+def allocate(shape: int | Sequence[int], dtype: npt.DTypeLike = "u4", *_: Any, **__: Any) -> PynqBuffer:
     """An array in contiguous memory, zero at first. Raises InvalidRequest, RequestBusy if there is no more."""
-    del target  # PYNQ's; a program has one board
     return board().allocate(shape, dtype).view(PynqBuffer)
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from operator import index
 from typing import Any
 
@@ -21,20 +22,23 @@ class MMIO:
     def __init__(self, base_addr: int, length: int = 4, **_: Any) -> None:
         """Further arguments are PYNQ's; a program has one board."""
         self.base_addr, self.length, self._places = index(base_addr), index(length), places()
-        self.array, self._word = self._places.words(self.base_addr, self.length), self._places.read
+        self.array = self._places.words(self.base_addr, self.length)
+        self._words: dict[int, Callable[[], int]] = {}  # what reads them, by offset
 
     def read(self, offset: int = 0, length: int = 4) -> int:
         """`length` (1, 2, 4 or 8) bytes from a word on.
 
         Raises ValueError, MemoryError for an offset that is no word's, IndexError outside the window.
         """
-        if length == WORD and 0 <= offset <= self.length - WORD and not offset % WORD:
-            return self._word(self.base_addr + offset)
+        if length == WORD:
+            if offset not in self._words:
+                self._words[offset] = self._places.reader(self._address(offset, WORD))
+            return self._words[offset]()
         if length not in (1, 2, 4, 8):
             raise ValueError("MMIO currently only supports 1, 2, 4 and 8-byte reads.")
         address = self._address(offset, max(length, WORD))
-        low, mask = self._word(address), (1 << 8 * length) - 1
-        return (low | self._word(address + WORD) << 32 if length == 8 else low) & mask
+        low, mask = self._places.read(address), (1 << 8 * length) - 1
+        return (low | self._places.read(address + WORD) << 32 if length == 8 else low) & mask
 
     def write(self, offset: int, data: Any) -> None:
         """Write a word, or bytes as words. Integers from -2^31 to 2^32 - 1, of numpy too.
