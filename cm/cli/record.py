@@ -166,7 +166,7 @@ def _as_ros(connected: Callable[..., Board], place: Path, limits: Limits, wanted
     while not ended.wait(node.look()):
         if time.monotonic() >= due:
             due += 1
-            transport.tick()
+            transport.record.tick()
     follower.stop()
     commands.close()
     following.join()

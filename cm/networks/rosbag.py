@@ -10,6 +10,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -115,10 +116,6 @@ class RecordingTransport:
         beside.write_text(yaml.safe_dump({"rosbag2_bagfile_information": told}, sort_keys=False), encoding="utf-8")
         beside.replace(self._folder / METADATA)
 
-    def tick(self) -> None:
-        """Once a second."""
-        self.record.tick()
-
     def close(self) -> None:
         self.record.close()
         self.describe()
@@ -130,7 +127,7 @@ class RecordingTransport:
 
     def frames(self, *_: Any, **__: Any) -> Closing:
         """Nobody publishes to a record."""
-        return _Nothing()
+        return ExitStack()  # nothing is open
 
     def service(self, *_: Any, **__: Any) -> None:
         """Nobody asks a record."""
@@ -143,11 +140,6 @@ def _channel(record: Record, topic: str, kind: str, quality: Qos) -> Channel:
 @cache
 def _schema(kind: str) -> Schema:
     return Schema(kind, "ros2msg", definition(kind).encode())
-
-
-class _Nothing:
-    def close(self) -> None:
-        """Nothing is open."""
 
 
 class _Publisher:

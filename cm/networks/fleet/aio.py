@@ -411,19 +411,19 @@ class Fleet:
         bundle = await asyncio.to_thread(bundles.described, path)
         chosen = await self.meant(boards)
         with bundles.offered(self.session, path, bundle) as sent:
-            telling = asyncio.create_task(_each_second(lambda: tell and tell(sent(), len(chosen) * bundle.length)))
+
+            async def each_second() -> None:
+                while tell:
+                    await asyncio.sleep(1.0)
+                    tell(sent(), len(chosen) * bundle.length)
+
+            telling = asyncio.create_task(each_second())
             command, message = keys.command("bundle", self.caller), encoded(bundle)
             try:
                 found = [a async for a in self._answers(command, chosen, message, timeout=timeout)]
             finally:
                 telling.cancel()
         return {a.board: queries.said(a, BundleState) for a in sorted(found, key=lambda a: a.board)}
-
-
-async def _each_second(work: Callable[[], object]) -> None:
-    while True:
-        await asyncio.sleep(1.0)
-        work()
 
 
 def _listed(known: Mapping[str, View]) -> dict[str, View]:

@@ -30,7 +30,6 @@ from cm.networks.fleet.store import (
     Claim,
     Entry,
     Put,
-    Puts,
     Store,
     StoreAway,
     StoreRefused,
@@ -182,12 +181,15 @@ class Coordinator:
         self.known = known or await self.store.get("")
         while True:
             try:
-                self._chosen()
+                self._views = views(self.known)
+                self.members, away = self.choose(self._views)
             except CmError:
                 if self.known is not known:
                     raise
                 self.known = await self.store.get("")
                 continue
+            self.course.causes, self.course.silent = dict(away), dict(away)
+            self._there_now = [name for name in self.members if name not in away]
             mine = {n for n, view in self._views.items() if view.open and view.open.change == self.change}
             if mine == {*self.members}:
                 break
@@ -215,12 +217,6 @@ class Coordinator:
         if self.clock() - self._asked > _FRESH:
             self._drop()
         self._leg_ended("open")
-
-    def _chosen(self) -> None:
-        self._views = views(self.known)
-        self.members, away = self.choose(self._views)
-        self.course.causes, self.course.silent = dict(away), dict(away)
-        self._there_now = [name for name in self.members if name not in away]
 
     async def _claimed(self) -> dict[str, Entry]:
         """What there is then: with our claims, if that was done."""
@@ -377,7 +373,9 @@ class Coordinator:
         while True:
             try:
                 if revision := await self.store.txn(expect, puts):
-                    self._is_known(puts, revision)
+                    # With that the next change of this client may begin, without a reading.
+                    known = {**self.known, **{k: Entry(put.value, revision) for k, put in puts.items() if put}}
+                    self.known = {k: entry for k, entry in known.items() if not k.endswith("/claim")}
                     return Decision.KEEP
                 self.known = {}
                 return await self._told()
@@ -389,11 +387,6 @@ class Coordinator:
                 if self.clock() > end:
                     return None
                 await self.sleep(0.2)
-
-    def _is_known(self, puts: Puts, revision: int) -> None:
-        """With that the next change of this client may begin, without a reading."""
-        now = {**self.known, **{k: Entry(put.value, revision) for k, put in puts.items() if put}}
-        self.known = {k: entry for k, entry in now.items() if not k.endswith("/claim")}
 
     async def _told(self) -> Decision | None:
         """Why the transaction was refused: it had been done already, or the lease had ended."""

@@ -256,7 +256,9 @@ class Etcd:
                 if error.code == _UNAUTHENTICATED and self._token:
                     self._token = ""
                 elif error.code not in _ANOTHER_MEMBER:
-                    raise (_Gone if error.code == _NOT_FOUND else StoreRefused)(_explained(said)) from None
+                    if "too many operations" in said:
+                        said += ": start etcd with --max-txn-ops, or change fewer boards at a time (docs/fleet.md)"
+                    raise (_Gone if error.code == _NOT_FOUND else StoreRefused)(said) from None
             else:
                 self._first, self._heard = number, True
                 return found
@@ -306,12 +308,6 @@ def _parsed(data: bytes) -> dict[str, Any]:
         code = about.get("code", about.get("grpc_code"))
         raise _Failed(2 if code is None else int(code), str(about.get("message") or failed))
     return dict(found)
-
-
-def _explained(said: str) -> str:
-    if "too many operations" in said:
-        return f"{said}: start etcd with --max-txn-ops, or change fewer boards at a time (docs/fleet.md)"
-    return said
 
 
 def _json(asked: Mapping[str, Any]) -> bytes:

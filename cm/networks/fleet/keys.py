@@ -42,20 +42,12 @@ def command(verb: str, caller: str) -> str:
     return f"do/{verb}/{caller}" if caller else f"do/{verb}"
 
 
-@dataclass(frozen=True, slots=True)
-class Command:
-    """What is to be done, and for which caller."""
-
-    verb: str
-    caller: str
-
-
-def command_of(key_expression: str) -> Command | None:
-    """The command in a query's key; None if it has none. Verbs and callers have no wildcards."""
+def command_of(key_expression: str) -> tuple[str, str] | None:
+    """The verb and the caller in a query's key; None if it has none. They have no wildcards."""
     parts = key_expression.split("/")
     if len(parts) not in (4, 5) or parts[0] != ROOT or parts[2] != "do" or any(WILD & set(p) for p in parts[3:]):
         return None
-    return Command(parts[3], parts[4] if len(parts) == 5 else "")
+    return parts[3], parts[4] if len(parts) == 5 else ""
 
 
 @dataclass(frozen=True, slots=True)

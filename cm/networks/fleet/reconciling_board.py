@@ -233,9 +233,6 @@ class Board:
         planned = replace(part, goal=plan.place, plan_seconds=plan.seconds, plan_bytes=plan.bytes)
         await self._note_held(planned, lease)
 
-    async def _hold(self, part: Part) -> None:
-        await self._note_held(part, await self._manager.hold(part))
-
     async def _note_held(self, part: Part, lease: str) -> None:
         """A lease that cannot be written down is given back: nobody would know of it."""
         try:
@@ -378,7 +375,7 @@ class Board:
         if part is not None:
             claim = self._view.open
             if claim is not None and claim.change == part.change:
-                await self._hold(part)
+                await self._note_held(part, await self._manager.hold(part))
                 return
             seen = await self._end(part, kept=self._view.generation == part.generation)
         else:

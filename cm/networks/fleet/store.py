@@ -163,16 +163,12 @@ def views(found: Mapping[str, Entry]) -> dict[str, View]:
     for name, entry in found.items():
         _, board, part = name.split("/") if name.startswith(BOARDS) else ("", "", "")
         if part in _KINDS:
-            parts.setdefault(board, {})[part] = _unpacked(name, part, entry.value)
+            try:
+                parts.setdefault(board, {})[part] = _read(part, entry.value)
+            except (ValueError, TypeError, KeyError) as error:
+                raise InvalidRequest(f"the store has {entry.value[:60]!r} under {name}: {error}") from None
             revisions.setdefault(board, {})[part] = entry.revision
     return {board: View(revisions=revisions[board], **values) for board, values in sorted(parts.items())}
-
-
-def _unpacked(name: str, part: str, text: str) -> Any:
-    try:
-        return _read(part, text)
-    except (ValueError, TypeError, KeyError) as error:
-        raise InvalidRequest(f"the store has {text[:60]!r} under {name}: {error}") from None
 
 
 @lru_cache(256)  # a change puts the same on all of its boards, and what a board is told of has two parts that stay

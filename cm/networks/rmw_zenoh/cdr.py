@@ -9,7 +9,7 @@ from functools import cache
 from typing import Any
 
 from cm.errors import InvalidRequest
-from cm.networks.rmw_zenoh.interfaces import Field, message
+from cm.networks.rmw_zenoh.interfaces import Field, fields_of
 
 HEADER = b"\0\1\0\0"
 _CODES = {
@@ -37,7 +37,7 @@ def encode(name: str, values: Values) -> bytes:
 def head(name: str, values: Values, length: int) -> bytearray:
     """All of a message up to the `length` bytes of its last field."""
     out = bytearray(HEADER)
-    *fields, _ = message(name).fields
+    *fields, _ = fields_of(name)
     for field in fields:
         _field_putter(field)(out, values.get(field.name, _empty(field)))
     _align(out, 4)
@@ -57,7 +57,7 @@ def decode(name: str, data: bytes | memoryview) -> dict[str, Any]:
 def decode_head(name: str, data: bytes | memoryview) -> tuple[dict[str, Any], int, int]:
     """All fields but the last, which holds bytes: how many, and where they begin. Raises InvalidRequest."""
     reader = Reader(data)
-    *fields, _ = message(name).fields
+    *fields, _ = fields_of(name)
     try:
         values = {field.name: _field_taker(field)(reader) for field in fields}
         length = int(reader.take("I", 4))
@@ -96,7 +96,7 @@ def _align(out: bytearray, size: int) -> None:
 
 @cache
 def _putter(name: str) -> _Put:
-    parts = [(field.name, _field_putter(field), _empty(field)) for field in message(name).fields]
+    parts = [(field.name, _field_putter(field), _empty(field)) for field in fields_of(name)]
 
     def put_all(out: bytearray, values: Values) -> None:
         for key, put_one, empty in parts:
@@ -118,11 +118,12 @@ def _field_putter(field: Field) -> _Put:
     one = _one_putter(field)
     if not field.many:
         return one
-    if field.kind in _BYTES:
-        return _bytes_putter(field)
 
     def put_many(out: bytearray, values: Any) -> None:
         _length(field, out, len(values))
+        if field.kind in _BYTES:
+            out.extend(bytes(values))
+            return
         for value in values:
             one(out, value)
 
@@ -135,14 +136,6 @@ def _length(field: Field, out: bytearray, length: int) -> None:
     if field.many != "array":
         _align(out, 4)
         out.extend(struct.pack("<I", length))
-
-
-def _bytes_putter(field: Field) -> _Put:
-    def put_bytes(out: bytearray, values: Any) -> None:
-        _length(field, out, len(values))
-        out.extend(bytes(values))
-
-    return put_bytes
 
 
 def _one_putter(field: Field) -> _Put:
@@ -167,7 +160,7 @@ def _put_text(out: bytearray, value: Any) -> None:
 
 @cache
 def _taker(name: str) -> _Take:
-    parts = [(field.name, _field_taker(field)) for field in message(name).fields]
+    parts = [(field.name, _field_taker(field)) for field in fields_of(name)]
     return lambda reader: {key: take(reader) for key, take in parts}
 
 

@@ -21,22 +21,6 @@ from cm.networks.rmw_zenoh.threads import Inbox, Workers
 from cm.networks.ros.transport import Body, Values
 
 
-class Gathering:
-    """A buffer that is used again for each message."""
-
-    def __init__(self) -> None:
-        self._buffer = bytearray()
-
-    def gathered(self, head: bytearray, data: npt.NDArray[Any]) -> bytearray:
-        """Head and frame in one piece: one copy, whatever lies between the frame's rows. Valid until the next call."""
-        total = len(head) + data.nbytes
-        if len(self._buffer) != total:
-            self._buffer = bytearray(total)
-        self._buffer[: len(head)] = head
-        np.frombuffer(self._buffer, data.dtype, data.size, len(head)).reshape(data.shape)[...] = data
-        return self._buffer
-
-
 class Copied:
     """The bytes of a frame that the library has copied already."""
 
@@ -70,7 +54,7 @@ class ZenohPublisher:
         self._gid = end.gid
         self._lock = threading.Lock()
         self._number = 0
-        self._gathering = Gathering()
+        self._buffer = bytearray()  # used again for each frame
         self._plain = session.declare_publisher(end.key, **quality(end))
         self._put = (_latched(session, end) if end.quality.latched else self._plain).put
         self._token: Any = session.liveliness().declare_token(end.token)
@@ -81,9 +65,14 @@ class ZenohPublisher:
             self._send(message)
 
     def write_frame(self, head: Values, frame: FrameRecord) -> None:
-        start = cdr.head(self._end.kind, head, frame.data.nbytes)
-        with self._lock:
-            self._send(self._gathering.gathered(start, frame.data))
+        start, data = cdr.head(self._end.kind, head, frame.data.nbytes), frame.data
+        total = len(start) + data.nbytes
+        with self._lock:  # one copy, whatever lies between the frame's rows
+            if len(self._buffer) != total:
+                self._buffer = bytearray(total)
+            self._buffer[: len(start)] = start
+            np.frombuffer(self._buffer, data.dtype, data.size, len(start)).reshape(data.shape)[...] = data
+            self._send(self._buffer)
 
     def _send(self, message: bytes | bytearray) -> None:
         if self._token is not None:

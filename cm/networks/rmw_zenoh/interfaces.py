@@ -100,17 +100,9 @@ class Field:
     length: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Message:
-    """A message by its name."""
-
-    name: str
-    fields: tuple[Field, ...]
-
-
 @cache
-def message(name: str) -> Message:
-    """The message of that name; also those that rosidl derives from a service or an action: ``Plan_Request``, ``Plan``.
+def fields_of(name: str) -> tuple[Field, ...]:
+    """Those of a message; also of what rosidl derives from a service or an action: ``Plan_Request``, ``Plan``.
 
     Raises NotFound.
     """
@@ -118,8 +110,7 @@ def message(name: str) -> Message:
     if text is None:
         raise NotFound(f"there is no ROS interface {name}")
     package = name.split("/")[0]
-    fields = tuple(_field(line, package) for line in _lines(text)) or (_field(_NEEDS_ONE, package),)
-    return Message(name, fields)
+    return tuple(_field(line, package) for line in _lines(text)) or (_field(_NEEDS_ONE, package),)
 
 
 def dds_name(name: str) -> str:
@@ -189,10 +180,9 @@ def _field(line: str, package: str) -> Field:
 
 def definition(name: str) -> str:
     """The text of a message and of all that it holds, as MCAP's encoding ``ros2msg`` and rosbag2 have it."""
-    _ = message(name)
     found = [name]
     for one in found:  # grows
-        found += [f.kind for f in message(one).fields if f.kind.count("/") == 2 and f.kind not in found]
+        found += [f.kind for f in fields_of(one) if f.kind.count("/") == 2 and f.kind not in found]
     texts = [_texts()[one] for one in dict.fromkeys(found)]
     own, *others = zip(dict.fromkeys(found), texts, strict=True)
     return "\n".join([own[1], *(f"{'=' * 80}\nMSG: {one.replace('/msg/', '/')}\n{text}" for one, text in others)])
@@ -217,7 +207,7 @@ def type_hash(name: str) -> str:
 def _collect(name: str, found: dict[str, Any]) -> None:
     if name in found:
         return
-    fields = message(name).fields
+    fields = fields_of(name)
     found[name] = {"type_name": name, "fields": [{"name": field.name, "type": _type(field)} for field in fields]}
     for field in fields:
         if "/" in field.kind:

@@ -32,13 +32,18 @@ class Inbox:
             self._turn.notify()
 
     def _run(self) -> None:
-        while (thing := self._next()) is not None:
-            logged(self._take, thing)
-
-    def _next(self) -> Any:
-        with self._turn:
-            self._turn.wait_for(lambda: self._closed or self._waiting)
-            return None if self._closed else self._waiting.popleft()
+        while True:
+            with self._turn:
+                self._turn.wait_for(lambda: self._closed or self._waiting)
+                if self._closed:
+                    return
+                thing = self._waiting.popleft()
+            try:
+                self._take(thing)
+            except CmError as error:  # a failure with one message must not end the thread
+                _LOG.warning("%s", error)
+            except Exception:  # noqa: BLE001
+                _LOG.exception("a message was not taken")
 
     def close(self) -> None:
         """End the thread, and wait for it; twice is fine."""
@@ -47,16 +52,6 @@ class Inbox:
             self._turn.notify()
         if self._thread is not threading.current_thread():
             self._thread.join()
-
-
-def logged(work: Callable[[Any], None], thing: Any) -> None:
-    """A failure with one message must not end the thread."""
-    try:
-        work(thing)
-    except CmError as error:
-        _LOG.warning("%s", error)
-    except Exception:  # noqa: BLE001
-        _LOG.exception("a message was not taken")
 
 
 _LOOK = 0.1  # seconds between two looks whether all is over, while as many requests run as may

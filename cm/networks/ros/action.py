@@ -61,13 +61,10 @@ class ChangeModeServer:
             if goal.uuid in self._goals or len(self._running(self._goals.values())) >= _AT_ONCE:
                 return {"accepted": False, "stamp": messages.time(goal.stamp_ns)}
             self._goals[goal.uuid] = goal
-            self._forget()
+            for uuid in [uuid for uuid, kept in self._goals.items() if kept.status not in _RUNNING][:-_KEPT]:
+                del self._goals[uuid]
         threading.Thread(target=self._run, args=(goal,), daemon=True, name="change of mode").start()
         return {"accepted": True, "stamp": messages.time(goal.stamp_ns)}
-
-    def _forget(self) -> None:
-        for uuid in [uuid for uuid, goal in self._goals.items() if goal.status not in _RUNNING][:-_KEPT]:
-            del self._goals[uuid]
 
     def _get_result(self, request: dict[str, Any]) -> Values:
         goal = self._goals.get(bytes(request["goal_id"]["uuid"]))

@@ -13,13 +13,12 @@ from cm.wire.messages.json_values import plain
 from cm.wire.messages.status import Irq, PlanInfo, RegValues, Status, place
 from cm.wire.records import Gap
 
-_BILLION = 10**9
 _OK, _WARN, _ERROR, _STALE = b"\0", b"\1", b"\2", b"\3"
 
 
 def time(stamp_ns: int) -> dict[str, int]:
     """builtin_interfaces/Time."""
-    sec, nanosec = divmod(stamp_ns, _BILLION)
+    sec, nanosec = divmod(stamp_ns, 10**9)
     return {"sec": sec, "nanosec": nanosec}
 
 

@@ -45,13 +45,20 @@ class Parameters:
     def all(self) -> Mapping[str, tuple[str, Callable[[dict[str, Any]], Values]]]:
         """The services that every ROS node has for its parameters."""
         kind = "rcl_interfaces/srv/"
+
+        def set_each(request: dict[str, Any]) -> Values:
+            return {"results": [self._set([parameter]) for parameter in request["parameters"]]}
+
+        def set_atomically(request: dict[str, Any]) -> Values:
+            return {"result": self._set(request["parameters"])}
+
         return {
             "list_parameters": (f"{kind}ListParameters", self.list_names),
             "describe_parameters": (f"{kind}DescribeParameters", self.describe),
             "get_parameter_types": (f"{kind}GetParameterTypes", self.types),
             "get_parameters": (f"{kind}GetParameters", self.get),
-            "set_parameters": (f"{kind}SetParameters", self.set_each),
-            "set_parameters_atomically": (f"{kind}SetParametersAtomically", self.set_atomically),
+            "set_parameters": (f"{kind}SetParameters", set_each),
+            "set_parameters_atomically": (f"{kind}SetParametersAtomically", set_atomically),
         }
 
     def list_names(self, request: dict[str, Any]) -> Values:
@@ -81,14 +88,6 @@ class Parameters:
             return {} if len(names) == 1 else {n: v for name in names for n, v in self._held([name]).items()}
         return {name: value.value for name, value in zip(names, values, strict=True)}
 
-    def set_each(self, request: dict[str, Any]) -> Values:
-        """SetParameters: each for itself."""
-        return {"results": [self._set([parameter]) for parameter in request["parameters"]]}
-
-    def set_atomically(self, request: dict[str, Any]) -> Values:
-        """SetParametersAtomically: all are checked before the first is written."""
-        return {"result": self._set(request["parameters"])}
-
     def event(self, values: RegValues, publisher: Publisher) -> None:
         """Tell ``/parameter_events`` of registers that any client wrote."""
         changed = [{"name": _REGISTERS + v.name, "value": _value(v.value)} for v in values.values]
@@ -99,6 +98,7 @@ class Parameters:
         publisher.write({"stamp": stamp, "node": self._node, "changed_parameters": changed})
 
     def _set(self, parameters: Any) -> Values:
+        """All are checked before the first is written."""
         writes: dict[str, int | str] = {}
         for parameter in parameters:
             name, value = parameter["name"], parameter["value"]

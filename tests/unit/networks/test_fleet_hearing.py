@@ -11,8 +11,8 @@ from unittest.mock import MagicMock
 import pytest
 
 from cm.networks.fleet.bridge import bridge_process
-from cm.networks.fleet.bridge.bridge_process import Bridge, Deaf, Options
-from cm.networks.fleet.zenoh_session import Network, closed, hears, session
+from cm.networks.fleet.bridge.bridge_process import Bridge, Options
+from cm.networks.fleet.zenoh_session import Network, NoNetwork, closed, hears, session
 from cm.tools.demo.boards import free_ports
 
 
@@ -30,7 +30,7 @@ def listened(monkeypatch: pytest.MonkeyPatch, heard: Iterable[bool | None]) -> i
     monkeypatch.setattr(bridge_process, "_RECONNECT", 0.0)
     bridge = Bridge(Options(Network(), Path("/nowhere"), keeps=True), lambda _: None)
     bridge._board = MagicMock()
-    with pytest.raises(Deaf, match="opened anew"):
+    with pytest.raises(NoNetwork, match="opened anew"):
         asyncio.run(bridge._hear("b1"))
     assert set(asked) == {("cm/b1/alive", "cm-store/get/b1", 5.0)}
     return len(asked)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from cm.errors import InvalidRequest, NotFound
 from cm.networks.rmw_zenoh import cdr
-from cm.networks.rmw_zenoh.interfaces import Field, _texts, message, type_hash
+from cm.networks.rmw_zenoh.interfaces import Field, _texts, fields_of, type_hash
 
 ROOT = Path(__file__).resolve().parents[3]
 ALL = sorted(_texts())
@@ -56,7 +56,7 @@ def value(field: Field, number: int) -> Any:
 
 def values(name: str, number: int = 1) -> dict[str, Any]:
     """A message whose fields all differ, as far as possible."""
-    return {field.name: value(field, number + 3 * at) for at, field in enumerate(message(name).fields)}
+    return {field.name: value(field, number + 3 * at) for at, field in enumerate(fields_of(name))}
 
 
 @pytest.mark.parametrize("name", sorted(PUBLISHED))
@@ -77,7 +77,7 @@ def test_fields_are_those_of_the_interfaces_as_others_have_them(store: Any) -> N
     compared = [name for name in ALL if name in store.fielddefs]
     assert len(compared) > 30
     for name in compared:
-        assert [field.name for field in message(name).fields] == [name for name, _ in store.fielddefs[name][1]], name
+        assert [field.name for field in fields_of(name)] == [name for name, _ in store.fielddefs[name][1]], name
 
 
 def test_hashes_are_those_that_others_compute(store: Any) -> None:
@@ -163,5 +163,5 @@ def test_a_pictures_head_followed_by_its_bytes_is_the_picture() -> None:
 
 def test_a_message_without_fields_has_what_rosidl_puts_there() -> None:
     with pytest.raises(NotFound, match="nowhere"):
-        message("nowhere/msg/Nothing")
-    assert message("cm_interfaces/action/ChangeMode_SendGoal_Request").fields[1].kind.endswith("ChangeMode_Goal")
+        fields_of("nowhere/msg/Nothing")
+    assert fields_of("cm_interfaces/action/ChangeMode_SendGoal_Request")[1].kind.endswith("ChangeMode_Goal")

@@ -28,7 +28,7 @@ from cm.networks.fleet.bridge.query_answers import Queries
 from cm.networks.fleet.keeper import Keeper, opened_store
 from cm.networks.fleet.reconciling_board import Board, Seen
 from cm.networks.fleet.store import BOARDS, Settings, Store, StoreAway, StoreRefused, packed, views
-from cm.networks.fleet.zenoh_session import Network, closed, hears, is_alive, session
+from cm.networks.fleet.zenoh_session import Network, NoNetwork, closed, hears, is_alive, session
 from cm.wire import fleet as wire
 from cm.wire import topics
 from cm.wire.messages.status import ErrorInfo
@@ -38,12 +38,6 @@ _LOG = logging.getLogger("cm.fleet")
 _RECONNECT = 1.0  # seconds between two tries to reach a manager, or the network
 _TOGETHER = 0.25  # seconds in which whoever changes the fleet asks anyway: then nothing is left to be looked at
 _HEAR, _LISTEN, _ANSWER = 120.0, 10.0, 5.0  # seconds between two questions to ourselves; after a change; for an answer
-
-
-class Deaf(CmError):
-    """The session with the fleet's network is up, and nothing comes through it."""
-
-    code = "no_network"
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +76,7 @@ class Bridge:
                 network = await _tried(partial(asyncio.to_thread, session, self.options.network))
                 try:
                     await self._serve(board, relay, network)
-                except Deaf as error:
+                except NoNetwork as error:
                     _LOG.warning("%s", error)
                 finally:
                     await asyncio.to_thread(closed, network)
@@ -220,7 +214,7 @@ class Bridge:
                 publications.tell_status()
 
     async def _hear(self, board: str) -> None:
-        """Ask ourselves, as others do, now and then and after each change. Raises Deaf if nothing comes twice.
+        """Ask ourselves, as others do, now and then and after each change. Raises NoNetwork if nothing comes twice.
 
         Who never heard itself has rules, or a network, that let it not. After the middle of a network stood still, a
         session may be up on both sides, and bring nothing any more.
@@ -235,7 +229,7 @@ class Bridge:
             before, last = before or bool(heard), self._board.state
             quiet_until = time.monotonic() + (0.0 if heard is None else _HEAR)
             missed = missed + 1 if before and heard is False else 0
-        raise Deaf("the network brings us nothing any more: the session is opened anew")
+        raise NoNetwork("the network brings us nothing any more: the session is opened anew")
 
 
 async def _tried(work: Callable[[], Awaitable[_T]]) -> _T:

@@ -91,8 +91,7 @@ class Queries:
         wanted = str(query.key_expr)
         command = keys.command_of(wanted)
         if command is not None:
-            key = self._key(keys.command(command.verb, command.caller))
-            return [Sample(key, "Reply", await self._command(command, query))]
+            return [Sample(self._key(keys.command(*command)), "Reply", await self._command(*command, query))]
         parts = wanted.split("/")
         if len(parts) == 4 and parts[2] in ("reg", "irq", "frames") and not keys.WILD & set(parts[3]):
             return [await self._one(*parts[2:])]
@@ -136,7 +135,7 @@ class Queries:
 
     # ---- commands ---------------------------------------------------------------------------
 
-    async def _command(self, command: keys.Command, query: Any) -> bytes:
+    async def _command(self, verb: str, caller: str, query: Any) -> bytes:
         """Carry it out; returns a serialised Reply, also for an error."""
         message = bytes(query.payload) if query.payload is not None else b""
         beside: list[bytes] = []
@@ -146,7 +145,7 @@ class Queries:
             if self._room.locked():
                 raise Busy(f"{MANY} commands are under way on this board's bridge already")
             async with self._room:
-                return await self._done(command.verb, command.caller or keys.NOBODY, message, beside)
+                return await self._done(verb, caller or keys.NOBODY, message, beside)
         except CmError as error:
             return wire.encode_answer(ErrorInfo(error.code, str(error)))
         except OSError as error:
