@@ -17,8 +17,6 @@ from cm.device.paths import Root
 from cm.errors import Busy, CmError
 
 SOCKET_MODE = 0o660
-_PART = os.O_PATH | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
-_LINKS = 40  # in a path, as the kernel follows
 
 
 class UnsafeFolder(CmError, PermissionError):
@@ -34,13 +32,16 @@ def own_folder(folder: Path, group: int | None = None, mode: int = 0o700) -> Non
     is judged, as sshd does: it belongs to this user (or to root, who can do anything anyway), and nobody else may
     write there; above the folder itself all may where it is sticky, as /tmp. A link is followed above it only.
     """
-    fd = _opened(folder, mode)
-    try:
-        status = os.fstat(fd)
-        if group is not None and (status.st_gid != group or not status.st_mode & stat.S_IXGRP):
-            _give(fd, folder, group, stat.S_IMODE(status.st_mode) | 0o050)
-    finally:
-        os.close(fd)
+    _make_and_judge(folder.absolute(), mode)
+    status = folder.stat()
+    if group is not None and (status.st_gid != group or not status.st_mode & stat.S_IXGRP):
+        try:
+            os.chown(folder, -1, group)
+            folder.chmod(stat.S_IMODE(status.st_mode) | 0o050)
+        except PermissionError:
+            raise UnsafeFolder(
+                f"{folder} cannot be given to group {group}: only root, and members of it, can do that"
+            ) from None
 
 
 def private_folder(folder: Path) -> None:
@@ -54,84 +55,29 @@ def private_folder(folder: Path) -> None:
                 raise
 
 
-def _give(fd: int, folder: Path, group: int, mode: int) -> None:
-    try:
-        os.fchown(fd, -1, group)
-        os.fchmod(fd, mode)
-    except PermissionError:
-        raise UnsafeFolder(
-            f"{folder} cannot be given to group {group}: only root, and members of it, can do that"
-        ) from None
+def _make_and_judge(path: Path, mode: int | None) -> None:
+    """Raise UnsafeFolder for a path that another user may change, from the root on: what was judged stays as it was.
 
-
-def _opened(folder: Path, mode: int) -> int:
-    """Open a folder part by part, by descriptors: what was judged is what the next part is looked up in."""
-    path, rest, links = Path("/"), [*reversed(folder.absolute().parts[1:])], 0
-    at = os.open(path, _PART)
-    try:
-        _judge(at, path, last=not rest)
-        while rest:
-            name = rest.pop()
-            path /= name
-            try:
-                below = _part(at, name, mode if not rest else None)
-            except OSError as error:
-                error.filename = str(path)
-                target = _link(at, name)
-                if not target or not rest or (links := links + 1) > _LINKS:
-                    raise _refused(path, error, target is not None) from None
-                path = Path("/") if target.startswith("/") else path.parent
-                below = os.open(path if target.startswith("/") else ".", _PART, dir_fd=at)
-                rest += [part for part in reversed(Path(target).parts) if part != "/"]
-            os.close(at)
-            at = below
-            _judge(at, path, last=not rest)
-    except BaseException:
-        os.close(at)
-        raise
-    return at
-
-
-def _part(at: int, name: str, mode: int | None) -> int:
-    """A folder in a folder, made where it is missing: with this mode, or as one to pass through."""
-    flags = _PART if mode is None else _PART & ~os.O_PATH
-    try:
-        return os.open(name, flags, dir_fd=at)
-    except FileNotFoundError:
-        with suppress(FileExistsError):
-            os.mkdir(name, 0o755 if mode is None else 0o700, dir_fd=at)
-            made = os.open(name, flags, dir_fd=at)
-            if mode is not None:
-                os.fchmod(made, mode)
-            return made
-        return os.open(name, flags, dir_fd=at)
-
-
-def _link(at: int, name: str) -> str | None:
-    """Where a link of ours or root's leads; None for what is none."""
-    try:
-        target = os.readlink(name, dir_fd=at)
-        owner = os.stat(name, dir_fd=at, follow_symlinks=False).st_uid
-    except OSError:
-        return None
-    return target if owner in (os.geteuid(), 0) else ""
-
-
-def _refused(path: Path, error: OSError, is_link: bool) -> OSError:
-    if is_link:
-        return UnsafeFolder(f"{path} is not a folder, or a link to one: name the folder itself")
-    if isinstance(error, NotADirectoryError):
-        return UnsafeFolder(f"{path} is a file, not a folder: name a folder; one that does not exist yet is made")
-    return error
-
-
-def _judge(fd: int, path: Path, last: bool) -> None:
-    """Raise UnsafeFolder for a part of a path that another user may change."""
-    status = os.fstat(fd)
+    `mode`: of the folder itself; None: it is passed through, and may be a link of ours or of root's.
+    """
+    if path != path.parent:
+        _make_and_judge(path.parent, None)
+    if path.is_symlink():
+        if mode is not None or path.lstat().st_uid not in (os.geteuid(), 0) or not path.is_dir():
+            raise UnsafeFolder(f"{path} is not a folder, or a link to one: name the folder itself")
+        _make_and_judge(path.parent / path.readlink(), None)
+        return
+    with suppress(FileExistsError):
+        path.mkdir(0o755 if mode is None else 0o700)
+        if mode is not None:
+            path.chmod(mode)
+    status = path.lstat()
     sticky = status.st_mode & stat.S_ISVTX
+    if not stat.S_ISDIR(status.st_mode):
+        raise UnsafeFolder(f"{path} is a file, not a folder: name a folder; one that does not exist yet is made")
     if status.st_uid not in (os.geteuid(), 0):
         raise UnsafeFolder(f"{path} belongs to user {status.st_uid}, not to this one ({os.geteuid()})")
-    if status.st_mode & stat.S_IWOTH and (last or not sticky):
+    if status.st_mode & stat.S_IWOTH and (mode is not None or not sticky):
         raise UnsafeFolder(f"{path} can be written by everybody: chmod o-w {path}, or choose another")
     if status.st_mode & stat.S_IWGRP and not sticky and not is_private_group(status.st_gid, status.st_uid):
         raise UnsafeFolder(
@@ -177,39 +123,43 @@ class AlreadyServed(Busy):
     code = "already_served"
 
 
-class FolderLock:
-    """An flock on the runtime folder: it ends with the process, however that dies."""
+class _Lock:
+    """An flock on an open file: it ends with the process, however that dies. Raises AlreadyServed."""
 
-    def __init__(self, folder: Path, group: int | None = None) -> None:
-        """Make the folder, for this user and a group. Raises UnsafeFolder for one that is not ours."""
-        own_folder(folder, group)
-        self._fd = open_inside(folder, "lock", os.O_RDWR | os.O_CREAT)
-        os.fchmod(self._fd, 0o600)  # who can open it can hold it
+    def __init__(self, fd: int, refused: str) -> None:
+        self._fd = fd
         try:
-            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
-            pid = os.read(self._fd, 32).decode("ascii", "replace").strip()
-            os.close(self._fd)
-            raise AlreadyServed(
-                f"a configuration manager (pid {pid}) serves {folder} already; stop it, or choose another --runtime-dir"
-            ) from None
-        os.ftruncate(self._fd, 0)
-        os.write(self._fd, str(os.getpid()).encode())
+            holder = _holder(fd)
+            os.close(fd)
+            raise AlreadyServed(f"{holder} {refused}") from None
 
     def release(self) -> None:
         """Give it back."""
         os.close(self._fd)
 
 
+class FolderLock(_Lock):
+    """The lock of a runtime folder."""
+
+    def __init__(self, folder: Path, group: int | None = None) -> None:
+        """Make the folder, for this user and a group. Raises UnsafeFolder for one that is not ours."""
+        own_folder(folder, group)
+        fd = open_inside(folder, "lock", os.O_RDWR | os.O_CREAT)
+        os.fchmod(fd, 0o600)  # who can open it can hold it
+        super().__init__(fd, f"serves {folder} already; stop it, or choose another --runtime-dir")
+
+
 _ROOTS_ALONE = "firmware/fdt"  # mode 0400 on every machine with a device tree
 
 
-class BoardLock:
-    """An flock on a file of the board's sysfs: managers with other runtime folders notice each other.
+class BoardLock(_Lock):
+    """One on a file of the board's sysfs: managers with other runtime folders notice each other.
 
-    Nothing is written. It ends with the process, and holds within one mount of sysfs: managers in containers with
-    mounts of their own do not see it. The file is one that only root may read, or who has the capability that loading
-    takes: others could hold what they can open. Where there is none, or we may not, it is the folder.
+    Nothing is written. It holds within one mount of sysfs: managers in containers with mounts of their own do not see
+    it. The file is one that only root may read, or who has the capability that loading takes: others could hold what
+    they can open. Where there is none, or we may not, it is the folder.
     """
 
     def __init__(self, root: AnyRoot) -> None:
@@ -217,22 +167,14 @@ class BoardLock:
         if not folder.is_dir():
             folder = folder.parent
         try:
-            self._fd = os.open(folder / _ROOTS_ALONE, os.O_RDONLY | os.O_CLOEXEC)
+            fd = os.open(folder / _ROOTS_ALONE, os.O_RDONLY | os.O_CLOEXEC)
         except OSError:
-            self._fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-        try:
-            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            holder = _holder(self._fd)
-            os.close(self._fd)
-            raise AlreadyServed(
-                f"{holder} holds the board below {folder.parent} already: two managers would load over each other. "
-                "Stop it, or give each a board of its own (CM_ROOT)"
-            ) from None
-
-    def release(self) -> None:
-        """Give it back."""
-        os.close(self._fd)
+            fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        super().__init__(
+            fd,
+            f"holds the board below {folder.parent} already: two managers would load over each other. "
+            "Stop it, or give each a board of its own (CM_ROOT)",
+        )
 
 
 class Locks:

@@ -302,7 +302,7 @@ def test_a_folder_that_cannot_be_given_to_the_group_is_refused(tmp_path: Path, m
     def refuse(*_: object) -> None:
         raise PermissionError
 
-    monkeypatch.setattr(os, "fchown", refuse)
+    monkeypatch.setattr(os, "chown", refuse)
     with pytest.raises(UnsafeFolder, match=f"{tmp_path}/run cannot be given to group 77: only root, and members of it"):
         own_folder(tmp_path / "run", 77)
     (tmp_path / "run").chmod(0o750)
