@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import logging
 import os
 import signal
@@ -31,6 +32,7 @@ from cm.server.settings.model import FILE as SETTINGS_FILE
 from cm.server.settings.model import Settings as Defaults
 from cm.wire.topics import ipc_endpoints
 
+_PRIORITIES = ((logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6), (0, 7))
 _SWITCH = 0.0005  # seconds, a tenth of Python's own
 _SILENCE = 3.0  # seconds of a start without a word
 _HDL = ("rtl", "bits")  # kinds of simulated board that run a design's HDL
@@ -118,9 +120,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _ready(sentence: str) -> None:
     """What there is by now stays; and no thread waits for long while another, which works aside, has Python's lock."""
-    from cm.server.garbage_collector import keep
-
-    keep()
+    gc.freeze()
     sys.setswitchinterval(_SWITCH)
     _say(sentence)
 
@@ -138,23 +138,37 @@ def _level(args: argparse.Namespace, settings: Settings | None) -> int:
 
 
 def _log_to(level: int, service: bool) -> None:
-    """Log to the journal with its fields if it listens, otherwise as lines on stderr."""
-    from cm.server.systemd import journal_handler
-
-    handler = journal_handler() or logging.StreamHandler(sys.stderr)
-    handler.setFormatter(Lines(f"{'cm serve: ' if isinstance(handler, logging.StreamHandler) else ''}%(message)s"))
+    """Log lines on stderr; where that is the journal's, each begins with its priority (sd-daemon(3))."""
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(Lines(_is_journal()))
     logging.basicConfig(level=level, handlers=[handler])
     if service:  # who did what belongs in a service's log at any level
         logging.getLogger("cm.audit").setLevel(logging.INFO)
 
 
+def _is_journal() -> bool:
+    """Whether our stderr is the journal's stream, as under systemd (systemd.exec(5))."""
+    try:
+        stderr = os.fstat(sys.stderr.fileno())
+    except (OSError, ValueError):
+        return False
+    return os.environ.get("JOURNAL_STREAM") == f"{stderr.st_dev}:{stderr.st_ino}"
+
+
 class Lines(logging.Formatter):
     """Records as lines that nothing from outside can forge: further lines are indented, control characters escaped."""
+
+    def __init__(self, journal: bool) -> None:
+        super().__init__("%(message)s" if journal else "cm serve: %(message)s")
+        self._journal = journal
 
     def format(self, record: logging.LogRecord) -> str:
         """One record."""
         lines = super().format(record).splitlines() or [""]
-        return "\n    ".join("".join(c if c.isprintable() or c == "\t" else ascii(c)[1:-1] for c in x) for x in lines)
+        begin = f"<{next(number for level, number in _PRIORITIES if record.levelno >= level)}>" if self._journal else ""
+        return begin + f"\n{begin}    ".join(
+            "".join(c if c.isprintable() or c == "\t" else ascii(c)[1:-1] for c in x) for x in lines
+        )
 
 
 def _give_up(*_: object) -> None:
@@ -219,7 +233,6 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
         settings=ManagerSettings(prefetch_bytes=said.dma.prefetch_mib << 20, new_board=board is not None),
         scrub=said.scrub,
         queue_bytes=int(said.streams.queue_mib * (1 << 20)),
-        firmware_dir=said.firmware_dir,
         assume_loaded=args.assume_loaded or said.assume_loaded,
         limits=Limits.of(said.limits),
         example=example,

@@ -10,11 +10,6 @@ from contextlib import contextmanager
 _NEVER = 1 << 30  # collections of young objects until one of all
 
 
-def keep() -> None:
-    """Exclude all present objects from later searches."""
-    gc.freeze()
-
-
 @contextmanager
 def keeping() -> Iterator[None]:
     """For making objects that will stay: young garbage is collected, but not everything is searched. One at a time."""
@@ -24,6 +19,6 @@ def keeping() -> Iterator[None]:
     try:
         yield
         gc.collect(1)
-        keep()
+        gc.freeze()
     finally:
         gc.set_threshold(young, middle, old)

@@ -83,13 +83,10 @@ class UnreadFrames:
         self.bytes += size
         most = max(self._limit, self._mark * size)
         if self._frames[0][0].done or self.bytes > most:
-            self._drop_read()
+            self._frames = deque([(tracker, size) for tracker, size in self._frames if not tracker.done])
+            self.bytes = sum([size for _, size in self._frames])
         if self.bytes > most:
             self._end_slowest()
-
-    def _drop_read(self) -> None:
-        self._frames = deque([(tracker, size) for tracker, size in self._frames if not tracker.done])
-        self.bytes = sum([size for _, size in self._frames])
 
 
 class Subscriptions:
@@ -287,7 +284,7 @@ class Publisher:
         """Log the error of a status once, however often it is published; `change`: the last one's number."""
         text = f"{error.code}: {error.message}" if error else ""
         if error and text != self._last_logged:
-            _LOG.warning("%s", text, extra={"cm_code": error.code, "cm_change": change or None})
+            _LOG.warning("%s%s", text, f" (change {change})" if change else "")
         self._last_logged = text
 
     def registers(self, values: RegValues) -> None:

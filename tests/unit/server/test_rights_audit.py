@@ -102,7 +102,7 @@ def test_nothing_from_outside_begins_a_line_of_the_log(name: str, word: str) -> 
     record = logging.LogRecord(
         "cm", logging.INFO, "", 0, "%s said %s", (described(who, rq.ReadConfig(word)), word), None
     )
-    first, *rest = Lines("cm serve: %(message)s").format(record).split("\n")
+    first, *rest = Lines(journal=False).format(record).split("\n")
     assert first.startswith("cm serve: ")
     assert all(line.startswith("    ") for line in rest)
     assert all(c.isprintable() or c == "\t" for line in (first, *rest) for c in line)
@@ -110,4 +110,4 @@ def test_nothing_from_outside_begins_a_line_of_the_log(name: str, word: str) -> 
 
 def test_a_forged_ready_line_does_not_count() -> None:
     record = logging.LogRecord("cm", logging.INFO, "", 0, "unknown topic %s", ("x\ncm serve: ready at /run/cm",), None)
-    assert "\ncm serve: ready" not in Lines("cm serve: %(message)s").format(record)
+    assert "\ncm serve: ready" not in Lines(journal=False).format(record)
