@@ -199,7 +199,9 @@ class IcapLoader:
     ) -> None:
         cookie = next(self._cookies)
         icap.load(held.buffer, held.length, cookie=cookie, full=whole, encrypted=image.encrypted)
-        _raise_failed(self._wait(icap, cookie, image, timeout, on_bytes), image)
+        completion = self._wait(icap, cookie, image, timeout, on_bytes)
+        if completion.status != 0:
+            raise LoadFailed(f"{image.path.name}: the configuration port reported: {completion.reason}")
 
     def write(self, port: str | None, words: bytes, image: Image, timeout: float) -> None:
         """Load words that are no image of a file. Raises LoadFailed, StepTimeout or DeviceError."""
@@ -250,11 +252,6 @@ class IcapLoader:
         self._cache.clear()
 
 
-def _raise_failed(completion: PortCompletion, image: Image) -> None:
-    if completion.status != 0:
-        raise LoadFailed(f"{image.path.name}: the configuration port reported: {completion.reason}")
-
-
 class FpgaManagerLoader:
     """The kernel's fpga_manager, by firmware name (linux-xlnx). Blocks until the kernel is done."""
 
@@ -282,15 +279,11 @@ class FpgaManagerLoader:
     def _load(self, manager: KernelLoader, name: str, job: Job, on_bytes: OnBytes) -> None:
         """The kernel reads the file itself: if it was replaced meanwhile, that may be what was loaded."""
         manager.load(name, partial=job.region is not None, encrypted=job.image.encrypted)
-        _raise_not_operating(manager, job.image)
+        state = manager.state
+        if state != "operating":
+            raise LoadFailed(f"{job.image.path.name}: fpga_manager {manager.name} says {state!r} after the load")
         self._files.check_firmware(name, job.image)
         on_bytes(job.image.length)
-
-
-def _raise_not_operating(manager: KernelLoader, image: Image) -> None:
-    state = manager.state
-    if state != "operating":
-        raise LoadFailed(f"{image.path.name}: fpga_manager {manager.name} says {state!r} after the load")
 
 
 class OverlayLoader:

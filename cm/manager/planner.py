@@ -279,7 +279,8 @@ class Writing:
     def steps(self) -> list[SetRegister]:
         """Writes of registers whose region was reset, or whose value differs from what was written."""
         visible = self.goal.config.visible_registers(self.goal.mode).values()
-        values = [(r, self._value(r)) for r in visible if self._can_write(r)]
+        writable = [r for r in visible if r.access not in (Access.RO, Access.W1C) and not self._nobody_answers(r)]
+        values = [(r, self._value(r)) for r in writable]
         return [
             *(SetRegister(r, value) for r, value in values if value is not None and self._is_due(r, value)),
             *self._starts(),
@@ -305,9 +306,6 @@ class Writing:
     def _value(self, register: Register) -> int | None:
         value = self.goal.values.get(register.name)
         return self.goal.found.get(place_of(register), register.default) if value is None else value
-
-    def _can_write(self, register: Register) -> bool:
-        return register.access not in (Access.RO, Access.W1C) and not self._nobody_answers(register)
 
     def _nobody_answers(self, register: Register) -> bool:
         """A region that this mode leaves alone may hold nothing; only what the mode itself sets is then an error."""
@@ -439,7 +437,8 @@ class _Planner:
         modules = [self._config.modules[name] for name in (*self._mode.modules, *self._goal.also)]
         images = {m.name: self._files.image(self._config, m) for m in modules}
         changed = [m for m in modules if static or self._differs(m, images[m.name])]
-        cut = [m for m in modules if m not in changed and not self._is_ready(m)]
+        ready = {name for name, held in self._state.regions.items() if held.phase is RegionPhase.READY}
+        cut = [m for m in modules if m not in changed and m.region not in ready]
         loads = [(m, images[m.name]) for m in changed]
         wanted = wanted_overlays(self._config, self._mode, self._files, [*whole, *images.values()])
         overlays = overlay_change(self._state, wanted, {m.region for m in changed}, static is not None)
@@ -489,9 +488,6 @@ class _Planner:
                 "cm serve --assume-loaded if the boot loader has loaded it"
             )
 
-    def _is_ready(self, module: Module) -> bool:
-        return self._state.region(module.region).phase is RegionPhase.READY
-
     def _differs(self, module: Module, image: Image) -> bool:
         """Whether the region has to be loaded; one that is only cut off holds what it held."""
         held = self._state.region(module.region)
@@ -537,8 +533,10 @@ class _Planner:
         yield from (self._load(m, image) for m, image in loads)
         yield from (step for step in overlays.applied if step not in ground)
         yield from (w for w in writes if w.register.region not in regions)
-        yield from (self._recouple(self._region(m)) for m in joined)
-        yield from (s.CheckIdentity(self._region(m), m) for m in joined if self._has_identity(m))
+        yield from (s.Recouple(self._region(m), self._registers_of(m.region)) for m in joined)
+        for m in joined:
+            if m.identity is not None and self._region(m).identity is not None:
+                yield s.CheckIdentity(self._region(m), m)
         yield from (w for w in writes if w.register.region in regions)
         yield s.Publish(self._config.name, self._goal.mode)
 
@@ -549,9 +547,6 @@ class _Planner:
 
     def _region(self, module: Module) -> Region:
         return self._config.regions[module.region]
-
-    def _has_identity(self, module: Module) -> bool:
-        return module.identity is not None and self._region(module).identity is not None
 
     def _load(self, module: Module, image: Image) -> s.Load:
         region = self._region(module)
@@ -575,9 +570,6 @@ class _Planner:
                 "as measured here"
             )
         return self._throughput.timeout(region, image.length)
-
-    def _recouple(self, region: Region) -> s.Recouple:
-        return s.Recouple(region, self._registers_of(region.name))
 
     def _registers_of(self, region: str) -> frozenset[str]:
         own = self._config.registers_of(region)

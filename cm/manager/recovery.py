@@ -30,7 +30,7 @@ from cm.manager.state.board_state import (
 )
 from cm.manager.state.journal import ManagerState, Pending, Record
 from cm.manager.state.steps import Place, hertz
-from cm.schema.model import Config, ConfigType, LoaderKind, Module, Region, Register
+from cm.schema.model import Config, ConfigType, LoaderKind, Module, Region
 from cm.wire.messages.status import place
 
 if TYPE_CHECKING:
@@ -106,7 +106,8 @@ def _as_it_reads(finding: Finding, configs: Mapping[str, Config], registers: Reg
     spared = {} if cut is None else _written_by(cut, configs)
     live: dict[str, int] = {}
     for register in config.visible_registers(state.mode).values():
-        if not register.keeps or not _answers(register, state) or (cut and register.region in cut.locked):
+        answers = register.region is None or state.region(register.region).phase is RegionPhase.READY
+        if not register.keeps or not answers or (cut and register.region in cut.locked):
             continue
         try:
             value = registers.read(register)
@@ -121,10 +122,6 @@ def _as_it_reads(finding: Finding, configs: Mapping[str, Config], registers: Reg
         return finding
     state = replace(state, values=MappingProxyType({**state.values, **live}))
     return replace(finding, state=state, interrupted=cut and replace(cut, values={**cut.values, **live}))
-
-
-def _answers(register: Register, state: BoardState) -> bool:
-    return register.region is None or state.region(register.region).phase is RegionPhase.READY
 
 
 def _written_by(cut: Pending, configs: Mapping[str, Config]) -> Mapping[Place, int | None]:
@@ -195,18 +192,15 @@ def _adopted(state: BoardState, configs: Mapping[str, Config], devices: Devices,
     """Overlays of ours that no record knows, of a run whose record was lost: the next change takes them off."""
     overlays = devices.overlays()
     known = {o.name for o in state.overlays}
-    ours = {name for config in configs.values() for name in _overlay_names(config)}
+    ours: set[str] = set()
+    for config in configs.values():
+        ours.update(o.name for o in (*config.overlays, *(o for mode in config.modes.values() for o in mode.overlays)))
+        ours.update(loading_overlay(name) for name in config.regions)
     for name in overlays.list() if overlays.available() else ():
         if name in ours and name not in known:
             notes.append(f"overlay {name} is applied, but not recorded; the next change removes it")
             state = replace(state, overlays=(*state.overlays, OverlayState(name, "")))
     return state
-
-
-def _overlay_names(config: Config) -> Iterator[str]:
-    yield from (o.name for o in config.overlays)
-    yield from (o.name for mode in config.modes.values() for o in mode.overlays)
-    yield from (loading_overlay(name) for name in config.regions)
 
 
 def _port(state: BoardState, configs: Mapping[str, Config], devices: Devices, notes: list[str]) -> BoardState:

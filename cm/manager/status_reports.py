@@ -13,7 +13,7 @@ from cm.manager.history import History
 from cm.manager.state.board_state import BoardState, RegionState
 from cm.manager.state.journal import Kept, ManagerState
 from cm.manager.state.steps import Choice
-from cm.schema.model import BitField, Block, Config, Memory, Register, Stream
+from cm.schema.model import Config, Memory, Register, Stream
 from cm.wire.messages.status import (
     BlockInfo,
     ClockStatus,
@@ -121,7 +121,11 @@ class StatusReporter:
         """What a status of now is made of. Any thread."""
         running, state, error = self._running, self._state, self._error or self._notice
         board, generation = state.board, state.generation
-        what = running, self._pr_mode(running), self._progress, error, self._last, generation, board
+        if running:
+            pr_mode = PrMode.FULL if self._full else PrMode.PARTIAL
+        else:
+            pr_mode = PrMode.ERROR if self._failed else PrMode.IDLE
+        what = running, pr_mode, self._progress, error, self._last, generation, board
         return Moment(*what, state.loaded_config(), state.configs, state.choices, self.health.told)
 
     def status(self, moment: Moment | None = None, **beside: Any) -> Status:
@@ -143,11 +147,6 @@ class StatusReporter:
             generation=m.generation,
             **beside,
         )
-
-    def _pr_mode(self, running: bool) -> PrMode:
-        if running:
-            return PrMode.FULL if self._full else PrMode.PARTIAL
-        return PrMode.ERROR if self._failed else PrMode.IDLE
 
 
 class Health:
@@ -254,7 +253,10 @@ def config_info(
         streams=tuple(stream_status(x) for x in streams.values()),
         schema=schema,
         memories=_memories(config),
-        blocks=tuple(map(_block, config.blocks.values())),
+        blocks=tuple(
+            BlockInfo(b.name, b.base_address, b.size, b.vlnv, b.prefix, b.interrupts, b.streams, b.doc)
+            for b in config.blocks.values()
+        ),
     )
 
 
@@ -300,20 +302,15 @@ def register_info(r: Register, modes: tuple[str, ...] = ()) -> RegisterInfo:
         minimum=r.minimum,
         maximum=r.maximum,
         doc=r.doc,
-        fields=tuple(_field(f) for f in r.fields.values()),
+        fields=tuple(
+            FieldInfo(f.name, f.lsb, f.width, f.doc, tuple(f.values.items()), f.access.value if f.access else "")
+            for f in r.fields.values()
+        ),
         modes=modes,
         region=r.region or "",
         type="" if r.type == "uint" else r.type,
         fraction=r.fraction,
     )
-
-
-def _field(f: BitField) -> FieldInfo:
-    return FieldInfo(f.name, f.lsb, f.width, f.doc, tuple(f.values.items()), f.access.value if f.access else "")
-
-
-def _block(b: Block) -> BlockInfo:
-    return BlockInfo(b.name, b.base_address, b.size, b.vlnv, b.prefix, b.interrupts, b.streams, b.doc)
 
 
 def _memories(config: Config) -> tuple[MemoryInfo, ...]:

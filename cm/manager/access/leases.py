@@ -105,31 +105,39 @@ class Leases:
         try:
             with self._lock:
                 self._expire()
-                return self._done(request, client, account or client)
+                return self._carry_out(request, client, account or client)
         finally:
-            self._tell()
+            self._publish_change()
 
-    def _done(
+    def _carry_out(
         self, request: TakeLease | RenewLease | ReleaseLease | BreakLease, client: str, account: str
     ) -> LeaseInfo:
         if isinstance(request, ReleaseLease):
-            return self._take(request.id, remove=True).info
+            return self._lease_of(request.id, remove=True).info
         if isinstance(request, BreakLease):
-            return self._broken(request.number)
-        seconds = _checked_seconds(request.seconds)
-        if isinstance(request, RenewLease):
-            return self._renew(request.id, seconds)
-        return self._new(request, seconds, client, account)
+            for key, held in self._held.items():
+                if held.number == request.number:
+                    return self._lease_of(key, remove=True).info
+            raise UnknownLease(f"no lease has the number {request.number}; cm lease list")
+        seconds = request.seconds or LEASE_SECONDS
+        if not 0 < seconds <= MAX_SECONDS:
+            raise InvalidRequest(f"a lease of {seconds} s: it can be held for up to {MAX_SECONDS:.0f} s, then renewed")
+        if isinstance(request, TakeLease):
+            return self._new(request, seconds, client, account)
+        held = self._lease_of(request.id, remove=False)
+        info = replace(held.info, seconds=seconds)
+        self._held[request.id] = replace(held, info=info, until=self._time.monotonic() + seconds)
+        return info
 
     def expire(self) -> float | None:
         """End those whose time is over; seconds until that of the next one, None where none is held."""
         with self._lock:
             self._expire()
-            left = min((self._left(held) for held in self._held.values() if held.until < inf), default=None)
-        self._tell()
+            left = min((self._seconds_left(held) for held in self._held.values() if held.until < inf), default=None)
+        self._publish_change()
         return left
 
-    def _tell(self) -> None:
+    def _publish_change(self) -> None:
         if self._untold:
             self._untold = False
             self.on_change()
@@ -152,7 +160,7 @@ class Leases:
         for held in self._held.values():
             shared = not held.info.exclusive and any(_overlap(one.info.scope, held.info.scope) for one in own)
             if held not in own and not shared and any(_overlap(held.info.scope, scope) for scope in scopes):
-                raise HeldBy(_held_by(held, self._left(held)))
+                raise HeldBy(_held_by(held, self._seconds_left(held)))
 
     def holds(self, lease: str) -> bool:
         """Whether a lease has not ended."""
@@ -173,9 +181,12 @@ class Leases:
         with self._lock:
             self._expire()
             return tuple(
-                LeaseStatus(x.number, x.info.scope, x.info.exclusive, x.info.holder, x.client, x.pid, self._told(x))
+                LeaseStatus(
+                    x.number, x.info.scope, x.info.exclusive, x.info.holder, x.client, x.pid,
+                    self._seconds_left(x) if x.until < inf else 0.0,
+                )
                 for x in self._held.values()
-            )
+            )  # fmt: skip
 
     def hold(self, scope: str, holder: str, client: str, pid: int) -> str:
         """Take one that has no end but `drop`, or being broken; returns its id. Raises HeldBy, TooManyLeases."""
@@ -189,17 +200,15 @@ class Leases:
         with self._lock:
             there = self._held.pop(lease, None) is not None
             self._untold |= there
-        self._tell()
+        self._publish_change()
         return there
 
-    def _broken(self, number: int) -> LeaseInfo:
-        for key, held in self._held.items():
-            if held.number == number:
-                return self._take(key, remove=True).info
-        raise UnknownLease(f"no lease has the number {number}; cm lease list")
-
     def _new(self, request: TakeLease, seconds: float, client: str, account: str) -> LeaseInfo:
-        _checked_scope(request.scope)
+        scope, (kind, _, name) = request.scope, request.scope.partition(":")
+        if not (name if kind in NAMED else scope in ("board", "config")):
+            raise InvalidRequest(
+                f"scope {scope!r}: it is one of board, config, region:NAME, registers:NAME, memories:NAME"
+            )
         own = sum(held.account == account for held in self._held.values())
         if own >= self._each or len(self._held) >= self._most:
             raise TooManyLeases(
@@ -208,21 +217,16 @@ class Leases:
             )
         for held in self._held.values():
             alone = request.exclusive or held.info.exclusive
-            if alone and _overlap(held.info.scope, request.scope):
-                raise HeldBy(_held_by(held, self._left(held)))
-        info = LeaseInfo(os.urandom(8).hex(), request.scope, request.exclusive, seconds, _named(request.holder))
+            if alone and _overlap(held.info.scope, scope):
+                raise HeldBy(_held_by(held, self._seconds_left(held)))
+        holder = "".join(c if c.isprintable() else "?" for c in request.holder) or "somebody"  # safe for a log
+        info = LeaseInfo(os.urandom(8).hex(), scope, request.exclusive, seconds, holder)
         until = self._time.monotonic() + seconds
         self._held[info.id] = _Lease(info, until, next(self._numbers), client, request.pid, account)
         self._untold = True
         return info
 
-    def _renew(self, lease: str, seconds: float) -> LeaseInfo:
-        held = self._take(lease, remove=False)
-        info = replace(held.info, seconds=seconds)
-        self._held[lease] = replace(held, info=info, until=self._time.monotonic() + seconds)
-        return info
-
-    def _take(self, lease: str, remove: bool) -> _Lease:
+    def _lease_of(self, lease: str, remove: bool) -> _Lease:
         held = self._held.get(lease)
         if held is None:
             raise UnknownLease(f"no lease {lease!r} is held; it may have ended after its time")
@@ -237,10 +241,7 @@ class Leases:
         self._untold |= len(held) < len(self._held)
         self._held = held
 
-    def _told(self, held: _Lease) -> float:
-        return self._left(held) if held.until < inf else 0.0
-
-    def _left(self, held: _Lease) -> float:
+    def _seconds_left(self, held: _Lease) -> float:
         return max(0.0, held.until - self._time.monotonic())
 
 
@@ -266,20 +267,6 @@ def leases_concerned(config: Config, mode: str, loaded: str | None, unloaded: Co
     )
 
 
-def _checked_seconds(seconds: float) -> float:
-    """How long a lease is held; 30 s by default. Raises InvalidRequest."""
-    seconds = seconds or LEASE_SECONDS
-    if not 0 < seconds <= MAX_SECONDS:
-        raise InvalidRequest(f"a lease of {seconds} s: it can be held for up to {MAX_SECONDS:.0f} s, then renewed")
-    return seconds
-
-
-def _checked_scope(scope: str) -> None:
-    kind, _, name = scope.partition(":")
-    if not (name if kind in NAMED else scope in ("board", "config")):
-        raise InvalidRequest(f"scope {scope!r}: it is one of board, config, region:NAME, registers:NAME, memories:NAME")
-
-
 def _overlap(a: str, b: str) -> bool:
     return a == b or "board" in (a, b) or "config" in (a, b)
 
@@ -290,8 +277,3 @@ def _held_by(held: _Lease, left: float) -> str:
     long = f"for {left:.0f} s more unless renewed" if left < inf else "until that is given back"
     out = f"CM_LEASE=ID (lease=ID in Python) if it is yours; cm lease break {held.number} ends it (for administrators)"
     return f"{info.scope} is held by {info.holder} ({how}), {long}; {out}"
-
-
-def _named(holder: str) -> str:
-    """A holder's name, safe for a log or a terminal."""
-    return "".join(c if c.isprintable() else "?" for c in holder) or "somebody"

@@ -24,7 +24,7 @@ from cm.manager.access.register_view import (
 )
 from cm.manager.errors import AccessDenied, NothingLoaded, RegionBusy, listed
 from cm.manager.state.journal import ManagerState
-from cm.schema.model import Access, Config, FieldAccess, Register
+from cm.schema.model import Access, FieldAccess, Register
 from cm.wire.messages.requests import RegWrite
 from cm.wire.messages.status import RegValue, RegValues
 
@@ -117,12 +117,6 @@ class WritePieces(_Pieces):
 _WO, _FIELD_WO = Access.WO, FieldAccess.WO  # looking them up in the enum's class takes time
 
 
-def _flags(config: Config, status: str) -> int:
-    """The bits of a status register that a written 1 clears."""
-    bits = [i.bit for i in config.interrupts.values() if i.status == status and i.acknowledge and i.bit is not None]
-    return sum({1 << bit for bit in bits})
-
-
 def value_of(register: Register, value: int) -> RegValue:
     """A register's value, and the values of its fields."""
     if not register.fields:
@@ -148,7 +142,7 @@ class RegisterService:
             view, state = self._view, self._state
             same = view is not None and view.board is state.latest and view.locked is state.locked  # mostly
             if view is None or not same or view.configs is not state.configs:
-                view = self._look()
+                view = self._current_view()
             known = view.places
             places = [known.get(n) or self._find(view, n) for n in names] if names else self._readable(view)
             for place in places:
@@ -168,14 +162,14 @@ class RegisterService:
     def visible_names(self) -> Collection[str]:
         """The names of all registers of this mode; none if nothing is loaded."""
         try:
-            return self._look().registers.keys()
+            return self._current_view().registers.keys()
         except NothingLoaded:
             return ()
 
     def readable_names(self) -> tuple[str, ...]:
         """The names of all registers that can be read now."""
         with self._lock:
-            return tuple([place.register.name for place in self._readable(self._look())])
+            return tuple([place.register.name for place in self._readable(self._current_view())])
 
     def offer(self, registers: Iterable[str], table: RegisterTable) -> None:
         """Let clients on this machine read registers and their fields by themselves, those that `read` would read now.
@@ -183,7 +177,7 @@ class RegisterService:
         Left out are those that reading changes: who wants that asks for it. Raises NothingLoaded, DeviceTimeout.
         """
         with self._lock:  # a change that begins meanwhile waits, and withdraws them
-            view = self._look()
+            view = self._current_view()
             for register in filter(None, map(view.registers.get, registers)):
                 if register.region not in view.free or register.access is _WO or register.read_changes:
                     continue
@@ -200,22 +194,22 @@ class RegisterService:
     def write(self, writes: tuple[RegWrite, ...], lease: str) -> RegValues:
         """Check all, then write in order; returns what the registers then hold."""
         with self._lock:
-            view = self._look()
+            view = self._current_view()
             return self._do(view, self._check(view, writes, lease))
 
     def checked(self, writes: tuple[RegWrite, ...], lease: str) -> list[Checked]:
         """Registers, values and masks of writes, if all are allowed. Raises for the first that is not."""
         with self._lock:
-            return self._check(self._look(), writes, lease)
+            return self._check(self._current_view(), writes, lease)
 
     def write_checked(self, checked: list[Checked]) -> RegValues:
         """Write in order what was checked. Raises RegionBusy if a change has begun."""
         with self._lock:
-            return self._do(self._look(), checked)
+            return self._do(self._current_view(), checked)
 
     def check_again(self, checked: list[Checked], lease: str) -> None:
         """Raise HeldBy, RegionBusy or RecordFailed if what was checked a while ago would be refused now."""
-        visible = self._look().registers
+        visible = self._current_view().registers
         for register in (place.register for place, _, _ in checked):
             if visible.get(register.name) is not register:
                 raise RegionBusy(f"register {register.name!r}: the mode was changed while the request was carried out")
@@ -246,7 +240,7 @@ class RegisterService:
 
     def unread(self, names: Iterable[str]) -> list[str]:
         """Those of some registers that can only be written."""
-        known = self._look().registers
+        known = self._current_view().registers
         return [name for name in names if name in known and known[name].access is _WO]
 
     def take_flags(self, name: str, clear: int) -> int:
@@ -258,12 +252,14 @@ class RegisterService:
         NothingLoaded, DeviceError.
         """
         with self._lock:
-            view = self._look()
+            view = self._current_view()
             register = (view.places.get(name) or self._find(view, name)).register
             self._check_free(register)
-            return self._bus.take_flags(register, clear, _flags(view.config, name))
+            known = [i for i in view.config.interrupts.values() if i.status == name and i.acknowledge]
+            cleared_by_1 = sum({1 << i.bit for i in known if i.bit is not None})
+            return self._bus.take_flags(register, clear, cleared_by_1)
 
-    def _look(self) -> View:
+    def _current_view(self) -> View:
         view, state = self._view, self._state
         if view is None:
             return self._renewed(None)
@@ -326,16 +322,13 @@ class RegisterService:
     def check_region(self, region: str | None, what: str) -> None:
         """Raise RegionBusy while `region` (None: the static part) is being changed, or is isolated."""
         if not is_free(self._state.latest, self._state.locked, region):
-            self._refuse(region, what)
+            where = f"region {region}" if region else "the static part"
+            locked = region in self._state.locked
+            how = "being reconfigured" if locked else self._state.latest.region(region or "").phase.value
+            raise RegionBusy(f"{what} lies in {where}, which is {how}")
 
     def _check_free(self, register: Register) -> None:
         self.check_region(register.region, f"register {register.name!r}")
-
-    def _refuse(self, region: str | None, what: str) -> None:
-        where = f"region {region}" if region else "the static part"
-        locked = region in self._state.locked
-        how = "being reconfigured" if locked else self._state.latest.region(region or "").phase.value
-        raise RegionBusy(f"{what} lies in {where}, which is {how}")
 
     def _check_known(self, checked: list[Checked]) -> None:
         """Refuse the last write, if it would need to know what was never written; one before it may write that."""

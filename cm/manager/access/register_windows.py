@@ -136,7 +136,7 @@ class Windows:
         if request.exclusive:
             lease = self._leases.hold(f"region:{place.region}", f"window {number}", request.client, request.pid)
         try:
-            held = self._values(place) if request.write else {}
+            held = {r.name: self._bus.read(r) for r in place.registers if r.keeps} if request.write else {}
             identity, fd = self._granted(place, request.write, devices)
         except BaseException:
             self._leases.drop(lease)
@@ -154,9 +154,6 @@ class Windows:
         except OSError as error:
             _refuse(place, error)
         return grant.id, grant.fd
-
-    def _values(self, place: Place) -> dict[str, int]:
-        return {r.name: self._bus.read(r) for r in place.registers if r.keeps}
 
     def _check(self, place: Place, request: WindowRequest) -> None:
         self._registers.check_region(place.region, f"window {request.name!r}")

@@ -237,14 +237,14 @@ class Scan:
             why=what.frames.why,
             wrong_frames=len(wrong),
             wrong_bits=bits,
-            wrong=tuple(_told(frame) for frame in wrong[:_LISTED]),
+            wrong=tuple(_frame_error(frame) for frame in wrong[:_LISTED]),
             seconds=seconds,
             config_name=what.config.name,
             mode=what.mode,
         )
 
 
-def _told(frame: WrongFrame) -> FrameError:
+def _frame_error(frame: WrongFrame) -> FrameError:
     at = frame.address
     return FrameError(frame.far, at.block_type, at.row, at.column, at.minor, frame.bits[:_BITS])
 

@@ -189,7 +189,7 @@ class Rollback:
         except RecordFailed as error:
             problems.append(str(error))
         self._tools.data_plane.resume(self._old, mode, self._state.board.modules)
-        return "; ".join([self._left(), *problems])
+        return "; ".join([self._left_sentence(), *problems])
 
     def _rates_again(self, rates: Mapping[str, int]) -> list[str]:
         """Set clocks to their former rates; returns a sentence for each that cannot be."""
@@ -211,7 +211,7 @@ class Rollback:
         old = self._old
         return {**(old.regions if old is not None and self._same_static() else {}), **goal.regions}
 
-    def _left(self) -> str:
+    def _left_sentence(self) -> str:
         """What a failed change left, as the record has it."""
         state = self._state.board
         again = [name for name in (self._state.pending.begun if self._state.pending else ()) if name in state.regions]

@@ -198,11 +198,11 @@ def _take_all(run: StepContext) -> None:
     run.loaded, run.whole = 0, run.plan.bytes
     for at, step in enumerate(run.plan.steps):
         run.at, run.length = at, step.length
-        _take(run, step, ACTIONS[type(step)])
+        _carry_out(run, step, ACTIONS[type(step)])
         run.loaded += run.length
 
 
-def _take(run: StepContext, step: Step, action: Callable[[StepContext, Any], None]) -> None:
+def _carry_out(run: StepContext, step: Step, action: Callable[[StepContext, Any], None]) -> None:
     time = run.tools.time
     started, run.port_seconds = time.monotonic(), 0.0
     failed = True

@@ -176,14 +176,14 @@ class Worker:
         while (work := self._queue.get()) is not None:
             try:
                 if isinstance(work, Look):
-                    self._look(work)
+                    self._take_look(work)
                 else:
                     self._turn(work)
             except Exception as problem:  # noqa: BLE001 (the thread has to live)
                 self._tools.reporter.set_error(_internal(problem))
                 self._tools.reporter.changed()
 
-    def _look(self, look: Look) -> None:
+    def _take_look(self, look: Look) -> None:
         """Read a slice of a region; the next one after the changes that wait now."""
         started = self._tools.time.monotonic()
         try:
@@ -212,11 +212,11 @@ class Worker:
             self._ended()
             change.finish(ErrorInfo("cancelled", "the configuration manager is stopping"))
             return
-        self._run(change)
+        self._run_change(change)
         self._tools.state.keep_times()
         self._tools.loaders.prefetch_modules(self._tools.state.loaded_config(), lambda: not self.busy)
 
-    def _run(self, change: Change) -> None:
+    def _run_change(self, change: Change) -> None:
         """Run a change and finish it; the next may be requested before the end of this one is published."""
         state, reporter, time = self._tools.state, self._tools.reporter, self._tools.time
         started = time.monotonic()
@@ -261,7 +261,11 @@ class Worker:
             board.config,
             board.mode,
             from_static=board.static_config,
-            held=_held(board),
+            held={
+                name: region.module
+                for name, region in board.regions.items()
+                if region.phase is RegionPhase.READY and region.module is not None
+            },
             values=values,
             found=tuple((*place, value) for place, value in change.found.items()),
             rates=change.rates,
@@ -269,14 +273,14 @@ class Worker:
 
     def _outcome(self, change: Change) -> ErrorInfo | None:
         try:
-            self._take(change)
+            self._carry_out(change)
         except CmError as problem:
             return ErrorInfo(getattr(problem, "cause_code", problem.code), str(problem))
         except Exception as problem:  # noqa: BLE001 (a defect of ours must not end the worker)
             return _internal(problem)
         return None
 
-    def _take(self, change: Change) -> None:
+    def _carry_out(self, change: Change) -> None:
         if change.cancelled:
             raise Cancelled("the change was cancelled before it began")
         self._leases.check(change.scopes, change.lease)  # one may have been given while this change waited
@@ -373,8 +377,3 @@ class Worker:
 
 def _internal(problem: Exception) -> ErrorInfo:
     return ErrorInfo("internal", f"{type(problem).__name__}: {problem}")
-
-
-def _held(board: BoardState) -> dict[str, str]:
-    ready = {name: region.module for name, region in board.regions.items() if region.phase is RegionPhase.READY}
-    return {name: module for name, module in ready.items() if module is not None}
