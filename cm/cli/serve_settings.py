@@ -21,7 +21,7 @@ from cm.wire.topics import split_tcp
 
 if TYPE_CHECKING:
     from cm.schema.model import Config
-    from cm.server.reload import Reloaded
+    from cm.server.options import Reloaded
     from cm.server.rights.model import Access, AuthorizedKey, Security
     from cm.server.settings.model import Settings
 
@@ -167,7 +167,7 @@ def read_again(args: argparse.Namespace, paths: Sequence[Path], began: Settings 
 
     `began`: the settings of the start; changes in them that need a restart are noted.
     """
-    from cm.server.reload import Reloaded
+    from cm.server.options import Reloaded
     from cm.server.settings.model import Limits
 
     settings = settings_of(args)

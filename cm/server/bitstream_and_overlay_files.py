@@ -57,25 +57,25 @@ _SYNC = b"\x66\x55\x99\xaa"
 _PADDING = (b"\x00\x00\x00\x20", bytes(4), b"\xff\xff\xff\xff")  # NOP; what fills up a file; dummy words
 
 
-def image_of(path: Path, report: Report) -> Image:
-    """A validated bitstream as the manager has it."""
-    return Image(path, report.sha256, report.length, report.idcode, report.partial, report.encrypted)
-
-
 class BitstreamReader:
     """Used by the worker and by plans that are made beside it, so the cache has a lock."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._cache = ReportCache()
-        self._good: dict[Path, tuple[Report, Expectation]] = {}  # files that were as expected when last compared
+        self._good: dict[tuple[Path, Expectation], Report] = {}  # of files that were as expected when last compared
         self._same: set[_Pair] = set()  # file and image with the same words, by their hashes
         self._alike: set[_Pair] = set()  # file and image that differ in padding at most
 
+    def image(self, path: Path, expect: Expectation) -> Image:
+        """A file that is as expected, as the manager has it. Raises the refusals of `cm.formats.bitstream`."""
+        found = self.validated(path, expect)
+        return Image(path, found.sha256, found.length, found.idcode, found.partial, found.encrypted)
+
     def validated(self, path: Path, expect: Expectation) -> Report:
         """The report of a file that is as expected. Raises the refusals of `cm.formats.bitstream`."""
-        report, before = self.inspect(path), self._good.get(path)
-        if before is not None and before[0] is report and before[1] == expect:
+        report = self.inspect(path)
+        if self._good.get((path, expect)) is report:
             return report
         try:
             verify(report, expect)
@@ -83,7 +83,7 @@ class BitstreamReader:
             raise type(error)(f"{path}: {error}") from error
         if len(self._good) >= _KEPT:
             self._good.clear()
-        self._good[path] = report, expect
+        self._good[path, expect] = report
         return report
 
     def inspect(self, path: Path) -> Report:
@@ -158,17 +158,16 @@ _COPIES = 64
 
 
 class FirmwareFolder:
-    """The firmware below a root. `copies` is the folder for converted files, one that the kernel looks in.
+    """The firmware below a root.
 
-    By default it is the folder that the kernel was given (firmware_class.path), which a system with a read-only root
-    has on a tmpfs or a data partition, or else ``/lib/firmware``.
+    Converted files lie in the folder that the kernel was given (firmware_class.path), which a system with a read-only
+    root has on a tmpfs or a data partition, or else in ``/lib/firmware``.
     """
 
-    def __init__(self, root: Path, reader: BitstreamReader, copies: Path | None = None) -> None:
+    def __init__(self, root: Path, reader: BitstreamReader) -> None:
         self._root = root
         self.folder = root / _FIRMWARE
         self._reader = reader
-        self._copies = copies
 
     def place(self, name: str) -> Path:
         """The file that the kernel opens for a name. Raises InvalidRequest for one that leaves the folder."""
@@ -202,18 +201,6 @@ class FirmwareFolder:
                 return self._root / custom.lstrip("/")
         return None
 
-    def _writable(self) -> Path:
-        """The folder for copies. Raises InvalidRequest for one that the kernel does not search."""
-        if self._copies is None:
-            custom = self._custom()
-            return custom if custom is not None and os.access(custom, os.W_OK) else self.folder
-        if self._copies not in self._searched():
-            raise InvalidRequest(
-                f"firmware_dir {self._copies}: this kernel does not look there; tell it by firmware_class.path="
-                f"{self._copies} on its command line, or in /{_CUSTOM}"
-            )
-        return self._copies
-
     def name_of(self, image: Image) -> str:
         """A name under which the kernel finds the image as a word-swapped .bin: always our own copy of it.
 
@@ -237,30 +224,22 @@ class FirmwareFolder:
 
     def _copy(self, image: Image) -> None:
         """Make sure of a copy under the hash of what was validated; a damaged one is made again."""
-        base = self._writable()
+        custom = self._custom()
+        base = custom if custom is not None and os.access(custom, os.W_OK) else self.folder
         folder = base / _CONVERTED
-        if folder.is_symlink():
-            raise InvalidRequest(f"{folder} is a symbolic link; copies are not written through one")
         own_folder(folder, mode=0o755)  # the kernel reads from there, so no other user may write
         target = base / self.private_name(image)
-        if not self._is_good(target, image):
+        good = False
+        with contextlib.suppress(BitstreamError, FileNotFoundError):
+            good = not target.is_symlink() and self._reader.has_words_of(target, image)
+        if not good:
             _write(target, convert(self._reader.read(image), Container.BIN_SWAPPED))
         _prune(folder, target)
 
-    def _is_good(self, target: Path, image: Image) -> bool:
-        try:
-            return not target.is_symlink() and self._reader.has_words_of(target, image)
-        except (BitstreamError, FileNotFoundError):
-            return False
-
 
 def _write(target: Path, data: bytes) -> None:
-    """Write whole or not at all, even at a loss of power; never through a link."""
-    import tempfile  # 1 MiB, not needed without the kernel's firmware loader
-
-    descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=".", suffix=".new")
-    os.close(descriptor)
-    new = Path(name)
+    """Write whole or not at all, even at a loss of power; in a folder where nobody else could put a link."""
+    new = target.with_name(f".{target.stem}.new")
     try:
         write(new, data, 0o644)
         new.replace(target)
@@ -307,7 +286,7 @@ def checked_overlay(name: str, blob: bytes) -> bytes:
 
     Raises BadOverlay.
     """
-    root = _read(name, blob)
+    root = _read(name, blob).root
     if not any(_targets(root)):
         raise BadOverlay(f"{name}: no fragment has an __overlay__ node; compile an overlay (/plugin/;) with dtc")
     known = targets(root)
@@ -323,7 +302,7 @@ def checked_overlay(name: str, blob: bytes) -> bytes:
 
 def firmware_loads(name: str, blob: bytes) -> tuple[FirmwareLoad, ...]:
     """Everything that applying an overlay would load. Raises BadOverlay, also if that cannot be known beforehand."""
-    root = _read(name, blob)
+    root = _read(name, blob).root
     for _, node in root.walk():
         is_region = b"fpga-region" in node.properties.get("compatible", b"").split(b"\0")
         if _NAME in node.properties and node.name != "__overlay__" and is_region:
@@ -356,24 +335,17 @@ def loading_nothing(name: str, blob: bytes) -> bytes:
 
 
 def _changed(name: str, blob: bytes, properties: Callable[[fdt.FdtNode], dict[str, bytes]]) -> bytes:
-    try:
-        tree = fdt.read(blob)
-    except fdt.FdtError as error:
-        raise _no_tree(name, error) from error
+    tree = _read(name, blob)
     for node in _targets(tree.root):
         node.properties = properties(node)
     return fdt.write(tree)
 
 
-def _read(name: str, blob: bytes) -> fdt.FdtNode:
+def _read(name: str, blob: bytes) -> fdt.Fdt:
     try:
-        return fdt.unpack(blob)
+        return fdt.read(blob)
     except fdt.FdtError as error:
-        raise _no_tree(name, error) from error
-
-
-def _no_tree(name: str, error: fdt.FdtError) -> BadOverlay:
-    return BadOverlay(f"{name}: not a whole device-tree blob ({error}); compile it with dtc")
+        raise BadOverlay(f"{name}: not a whole device-tree blob ({error}); compile it with dtc") from error
 
 
 def _targets(root: fdt.FdtNode) -> Iterator[fdt.FdtNode]:
@@ -479,7 +451,13 @@ class OverlayFiles:
         except (CmError, OSError) as error:
             raise BadOverlay(f"{what} cannot be used ({error})") from error
         if image is None:
-            raise BadOverlay(f"{what} is {self._described(place)}; {_expected(images)}")
+            known = f"the plan knows {', '.join(str(image.path) for image in images)}"
+            if not images:
+                known = (
+                    "the plan loads nothing of that kind: list it as a module, or as the bitstream of a full "
+                    "configuration"
+                )
+            raise BadOverlay(f"{what} is {self._described(place)}; {known}")
         _check_flags(what, load, image)
 
     def _place(self, path: Path, config: Config, name: str) -> Path:
@@ -501,12 +479,6 @@ class OverlayFiles:
         return f"another bitstream, {place} ({kind}, {report.design or report.device or 'of no known device'}){why}"
 
 
-def _expected(images: Sequence[Image]) -> str:
-    if not images:
-        return "the plan loads nothing of that kind: list it as a module, or as the bitstream of a full configuration"
-    return f"the plan knows {', '.join(str(image.path) for image in images)}"
-
-
 def _check_flags(what: str, load: FirmwareLoad, image: Image) -> None:
     partial, encrypted = image.partial, image.encrypted
     if load.partial != partial:
@@ -522,32 +494,17 @@ def _check_flags(what: str, load: FirmwareLoad, image: Image) -> None:
         )
 
 
-Frames = tuple[FrameRange, ...]
-
 _KEYS = {"footprint_outside": "region's key footprint", "encrypted": "region's key allow_encrypted"}
-
-
-@contextlib.contextmanager
-def _of_module(path: Path, config: Config, module: Module) -> Iterator[None]:
-    """A refusal names the file, whose it is, and the key that mends it."""
-    try:
-        yield
-    except BitstreamError as refused:
-        key = _KEYS.get(refused.code, "module's key bitstream")
-        why = str(refused).removeprefix(f"{path}: ")
-        whose = f"module {module.name} of region {module.region} in {config.name}"
-        raise type(refused)(f"{path}, of {whose}: {why} (build it again, or see the {key})") from refused
 
 
 class BoardFiles:
     """`cm.manager.interfaces.Files` over the file system below a root."""
 
-    def __init__(self, root: Path, copies: Path | None = None) -> None:
-        """`copies`: the folder for files converted for the kernel, see `FirmwareFolder`."""
+    def __init__(self, root: Path) -> None:
         self._root = root
         self._reader = BitstreamReader()
-        self._firmware = FirmwareFolder(root, self._reader, copies)
-        self._footprints: dict[tuple[str, str], tuple[Report, Expectation, Frames]] = {}  # by configuration and region
+        self._firmware = FirmwareFolder(root, self._reader)
+        self._footprints: dict[str, tuple[FrameRange, ...]] = {}  # that modules show, by their hashes
         self._frames: dict[str, LoadedFrames] = {}  # by the image's hash
         overlays = OverlayFiles(root, self._reader, self._firmware)
         self.firmware_name, self.check_firmware = self._firmware.name_of, self._firmware.check
@@ -564,27 +521,31 @@ class BoardFiles:
         region = config.regions[module.region]
         expect = expect_module(config, module, () if region.footprint else self._shown(config, region))
         path = bitstream_path(config, module, self._root)
-        with _of_module(path, config, module):
-            return image_of(path, self._reader.validated(path, expect))
+        try:
+            return self._reader.image(path, expect)
+        except BitstreamError as refused:  # named are the file, whose it is, and the key that mends it
+            key = _KEYS.get(refused.code, "module's key bitstream")
+            why = str(refused).removeprefix(f"{path}: ")
+            whose = f"module {module.name} of region {module.region} in {config.name}"
+            raise type(refused)(f"{path}, of {whose}: {why} (build it again, or see the {key})") from refused
 
-    def _shown(self, config: Config, region: Region) -> Frames:
+    def _shown(self, config: Config, region: Region) -> tuple[FrameRange, ...]:
         """What the region's modules show it to own; empty if none of their bitstreams is good."""
         for module in config.modules.values():
             if module.region == region.name:
                 with contextlib.suppress(CmError, OSError):
-                    path, expect = bitstream_path(config, module, self._root), expect_module(config, module)
-                    report, known = self._reader.inspect(path), self._footprints.get((config.name, region.name))
-                    if known is None or known[0] is not report or known[1] != expect:
-                        self._reader.validated(path, expect)
-                        known = self._footprints[config.name, region.name] = report, expect, footprint_of(report)
-                    if known[2]:
-                        return known[2]
+                    path = bitstream_path(config, module, self._root)
+                    report = self._reader.validated(path, expect_module(config, module))
+                    if report.sha256 not in self._footprints:
+                        self._footprints[report.sha256] = footprint_of(report)
+                    if shown := self._footprints[report.sha256]:
+                        return shown
         return ()
 
     def static_image(self, config: Config) -> Image:
         """Find and validate the image of a full configuration."""
         path = bitstream_path(config, None, self._root)
-        return image_of(path, self._reader.validated(path, expect_static(config)))
+        return self._reader.image(path, expect_static(config))
 
     def port_bytes(self, image: Image) -> bytes:
         """Words in the order a DMA-fed port takes them. Raises Sha256Mismatch if the file changed since."""

@@ -26,22 +26,6 @@ def _asleep() -> float:
     return time.clock_gettime(time.CLOCK_BOOTTIME) - time.clock_gettime(time.CLOCK_MONOTONIC)
 
 
-class Sleep:
-    """Notices sleeps since it was made, or since the last that was `noted()`."""
-
-    def __init__(self, asleep: Callable[[], float] = _asleep) -> None:
-        self._asleep = asleep
-        self._noted = asleep()
-
-    def slept(self) -> bool:
-        """Whether there was one."""
-        return self._asleep() - self._noted > _LEAST
-
-    def noted(self) -> None:
-        """It was dealt with."""
-        self._noted = self._asleep()
-
-
 class BoardWatch:
     """Compares boot ids now and then, and is told of errors. The loop's thread."""
 
@@ -61,7 +45,7 @@ class BoardWatch:
         self._streams = streams
         self._interrupts = interrupts
         self._begin = begin
-        self._sleep = Sleep()
+        self._slept = _asleep()  # as far as it was dealt with
         self._known = ""
 
     def begin(self) -> None:
@@ -80,7 +64,8 @@ class BoardWatch:
         """Deal with a board that was restarted, that slept, or that others have loaded; called now and then."""
         self._check_restart()
         self._check_sleep()
-        self._check_other_loads()
+        if not self._manager.changing:
+            self._check_other_loads()
 
     def close(self) -> None:
         """Watch nothing any more."""
@@ -107,22 +92,19 @@ class BoardWatch:
 
     def _check_sleep(self) -> None:
         """While the machine slept, the PL may have been without power."""
-        if not self._sleep.slept() or self._manager.changing:
+        if _asleep() - self._slept <= _LEAST or self._manager.changing:
             return
         try:
             self._manager.board_slept()
         except (CmError, OSError) as error:
             _LOG.warning("after the machine's sleep: %s", error)
             return
-        self._sleep.noted()
+        self._slept = _asleep()
 
     def _check_other_loads(self) -> None:
         """What other programs have loaded, or removed; what they do while a change runs is seen after it."""
-        manager = self._manager
-        if manager.changing:
-            return
-        seen = self._others.look([overlay.name for overlay in manager.state.overlays])
+        seen = self._others.look([overlay.name for overlay in self._manager.state.overlays])
         if (seen.loads or seen.removed) and self._boot_id() == self._known:  # else it is another board, seen to next
             who = self._others.who()
             _LOG.warning("another program: %s; %s", "; ".join((*seen.loads, *seen.removed)), who or "none is known")
-            manager.board_taken(seen.loads, seen.removed, who)
+            self._manager.board_taken(seen.loads, seen.removed, who)

@@ -11,6 +11,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from pathlib import Path
 from time import monotonic_ns
+from types import MappingProxyType
 from typing import ClassVar, Generic, TypeVar
 
 import zmq
@@ -22,6 +23,7 @@ from cm.server.settings.model import Limits
 from cm.wire.messages.status import ClientStatus, LeaseStatus, StreamStatus
 
 _T = TypeVar("_T")
+_NOTHING: Mapping[str, int] = MappingProxyType({})
 Turn = tuple[Hashable, Hashable]  # a user, and one of its clients; for work of the manager's own, anything twice
 
 
@@ -145,7 +147,7 @@ class Client:
 
     def queue(self, size: int) -> None:
         """Count the bytes of a request that waits, until they are taken off `waiting_bytes`. Raises TooMuchWaiting."""
-        most, of_all = self._all.bounds.waiting_bytes, self._all.waiting_bytes()
+        most, of_all = self._all.limits.waiting_bytes, self._all.waiting_bytes()
         own = sum([client.waiting_bytes for client in self.user.clients])
         if own and (own + size > most or of_all + size > most * 3 // 2):
             raise TooMuchWaiting(
@@ -165,7 +167,7 @@ class Client:
 
     def _is_full(self, reply: int) -> bool:
         """Whether there is no room, as far as is known; never for a user that has nothing unread."""
-        own, most = self._unread_of_user(), self._all.bounds.replies_bytes
+        own, most = self._unread_of_user(), self._all.limits.replies_bytes
         if self.unread_bytes + reply <= LITTLE or not own:
             return False
         return own + reply > most or self._all.unread_bytes() + reply > most * 3 // 2
@@ -180,7 +182,7 @@ class Client:
     @property
     def reads_nothing(self) -> bool:
         """Whether it goes on asking with twice as much unread as it may have: not even refusals are worth sending."""
-        return self.unread_bytes > 2 * self._all.bounds.replies_bytes
+        return self.unread_bytes > 2 * self._all.limits.replies_bytes
 
     def check_room(self) -> None:
         """Raise RepliesUnread if so much is unread that it gets no more."""
@@ -225,9 +227,9 @@ class Client:
 class Clients:
     """All of them, by their names, and the client of each connection. The loop's thread."""
 
-    def __init__(self, bounds: Limits, who: Callable[[str], Principal]) -> None:
+    def __init__(self, limits: Limits, who: Callable[[str], Principal]) -> None:
         """`who` finds clients by the ids of their connections (ZMQ's User-Id)."""
-        self.bounds = bounds
+        self.limits = limits
         self._who = who
         self._named: dict[str, Client] = {}
         self.users: dict[str, User] = {}
@@ -238,19 +240,15 @@ class Clients:
     def __iter__(self) -> Iterator[Client]:
         return iter(self._named.values())
 
-    def renew(self, bounds: Limits) -> None:
-        """Use other bounds from now on; what waits is kept."""
-        self.bounds = bounds
-
     def of(self, connection: str) -> Client:
         """The client that a connection belongs to."""
-        found = self.known.get(connection)
-        if found is None:
+        client = self.known.get(connection)
+        if client is None:
             who = self._who(connection)
             name = _name_of(who)
-            found = self._named.get(name) or Client(name, who, self)
-            self.known[connection] = self._named[name] = found
-        return found
+            client = self._named.get(name) or Client(name, who, self)
+            self.known[connection] = self._named[name] = client
+        return client
 
     def waiting_bytes(self) -> int:
         """Of requests of all clients."""
@@ -289,11 +287,41 @@ class Clients:
         for gone in [key for key, client in self.known.items() if client.name not in self._named]:
             del self.known[gone]
 
-    def statuses(self, connections: Mapping[str, int]) -> tuple[ClientStatus, ...]:
-        """What every client has now; `connections`: how many lead to each place. Leases and slots: `with_holdings`."""
+    def statuses(
+        self,
+        connections: Mapping[str, int],
+        leases: Iterable[LeaseStatus] = (),
+        streams: Iterable[StreamStatus] = (),
+        memory: Mapping[str, int] = _NOTHING,
+    ) -> tuple[ClientStatus, ...]:
+        """What every client has now, with the leases, the slots of streams and the bytes of `memory` that it holds.
+
+        `connections`: how many lead to each place.
+        """
         self.count_unread()
         self._forget(connections)
-        return tuple([_status(client, connections) for _, client in sorted(self._named.items())])
+        held, slots = Counter(lease.client for lease in leases), Counter[str]()
+        for stream in streams:
+            for reader in stream.clients:
+                slots[f"pid {reader.pid} ({reader.name})"] += reader.depth
+        found = []
+        for name in sorted({*self._named, *held, *slots, *memory}):
+            client = self._named.get(name)
+            status = ClientStatus(name, leases=held[name], slots=slots[name], memory_bytes=memory.get(name, 0))
+            if client is not None:
+                status = replace(
+                    status,
+                    connections=connections.get(client.place, 0),
+                    upload_bytes=client.upload_bytes,
+                    waiting_bytes=client.waiting_bytes + client.unread_bytes,
+                    unread_bytes=client.unread_bytes,
+                    requests=client.requests,
+                    refused=client.refused,
+                    account=client.account,
+                    waiting=client.pending,
+                )
+            found.append(status)
+        return tuple(found)
 
 
 def place_of(pid: int | None, address: str) -> str:
@@ -309,40 +337,3 @@ def _name_of(who: Principal) -> str:
         return f"pid {who.pid} ({Path(f'/proc/{who.pid}/comm').read_text('utf-8', 'replace').strip()})"
     except OSError:
         return f"pid {who.pid}"
-
-
-def _status(client: Client, connections: Mapping[str, int]) -> ClientStatus:
-    return ClientStatus(
-        name=client.name,
-        connections=connections.get(client.place, 0),
-        upload_bytes=client.upload_bytes,
-        waiting_bytes=client.waiting_bytes + client.unread_bytes,
-        unread_bytes=client.unread_bytes,
-        requests=client.requests,
-        refused=client.refused,
-        account=client.account,
-        waiting=client.pending,
-    )
-
-
-def with_holdings(
-    clients: Iterable[ClientStatus],
-    leases: Iterable[LeaseStatus],
-    streams: Iterable[StreamStatus],
-    memory: Mapping[str, int],
-) -> tuple[ClientStatus, ...]:
-    """Clients with the leases, the slots of streams and the bytes of `memory` that they hold."""
-    held = Counter(lease.client for lease in leases)
-    slots = Counter[str]()
-    for stream in streams:
-        for reader in stream.clients:
-            slots[f"pid {reader.pid} ({reader.name})"] += reader.depth
-    known = {client.name: client for client in clients}
-    for name in ((held | slots).keys() | memory.keys()) - known.keys():
-        known[name] = ClientStatus(name)
-    return tuple(
-        [
-            replace(known[name], leases=held[name], slots=slots[name], memory_bytes=memory.get(name, 0))
-            for name in sorted(known)
-        ]
-    )

@@ -52,51 +52,6 @@ class DeviceMemory:
     free: Callable[[], None]
 
 
-def device_memory(length: int, root: Root) -> DeviceMemory:
-    """Whole pages, `length` bytes at least.
-
-    Raises DeviceError, NotFound if no device provides any. A configuration port may be open several times, so an open
-    one of our own holds the memory. A DMA channel may not: it is closed at once, and the descriptor alone keeps the
-    memory.
-    """
-    try:
-        return port_memory(length, root)
-    except DeviceNotFound:
-        return _of_channel(length, root)
-
-
-def port_memory(length: int, root: Root) -> DeviceMemory:
-    """Likewise, of a configuration port only. Raises DeviceError; DeviceNotFound where there is none. Any thread."""
-    port = Icap.open(root=root)
-    try:
-        buffer = port.allocate(length)
-    except BaseException:
-        port.close()
-        raise
-
-    def free() -> None:
-        with suppress(DeviceError):
-            buffer.close()
-        port.close()
-
-    return DeviceMemory(buffer.fd, buffer.length, buffer.coherent, buffer.address, free)
-
-
-def _of_channel(length: int, root: Root) -> DeviceMemory:
-    busy: DeviceError | None = None
-    for name in list_dma(root):
-        try:
-            with AxiDma.open(name, root) as channel:
-                buffer = channel.allocate(length)
-                fd = os.dup(buffer.fd)
-                return DeviceMemory(fd, buffer.length, buffer.coherent, buffer.address, partial(os.close, fd))
-        except DeviceBusy as error:
-            busy = error
-    if busy is not None:
-        raise busy
-    raise NotFound("no device of this board gives memory: it has neither a configuration port nor a DMA channel")
-
-
 class _OurFpgaManager(FpgaManager):
     """One whose loads are told apart from those of other programs."""
 
@@ -222,12 +177,44 @@ class BoardDevices:
         return AxiDma.open(channel, self._root)
 
     def memory(self, length: int) -> DeviceMemory:
-        """Memory in one piece for masters in the PL. Raises DeviceError, NotFound."""
-        return device_memory(length, self._root)
+        """Memory in one piece for masters in the PL: whole pages, `length` bytes at least.
+
+        Raises DeviceError, NotFound if no device provides any. A DMA channel may be open once only: it is closed at
+        once, and the descriptor alone keeps the memory.
+        """
+        with suppress(DeviceNotFound):
+            return self.port_memory(length)
+        busy: DeviceError | None = None
+        for name in list_dma(self._root):
+            try:
+                with self.dma(name) as channel:
+                    buffer = channel.allocate(length)
+                    fd = os.dup(buffer.fd)
+                    return DeviceMemory(fd, buffer.length, buffer.coherent, buffer.address, partial(os.close, fd))
+            except DeviceBusy as error:
+                busy = error
+        raise busy or NotFound(
+            "no device of this board gives memory: it has neither a configuration port nor a DMA channel"
+        )
 
     def port_memory(self, length: int) -> DeviceMemory:
-        """Likewise, of a configuration port only. Any thread. Raises DeviceError."""
-        return port_memory(length, self._root)
+        """Likewise, of a configuration port only, which may be open several times: an open one of our own holds it.
+
+        Any thread. Raises DeviceError; DeviceNotFound where there is none.
+        """
+        port = Icap.open(root=self._root)
+        try:
+            buffer = port.allocate(length)
+        except BaseException:
+            port.close()
+            raise
+
+        def free() -> None:
+            with suppress(DeviceError):
+                buffer.close()
+            port.close()
+
+        return DeviceMemory(buffer.fd, buffer.length, buffer.coherent, buffer.address, free)
 
     def check(self) -> None:
         """Raise DeviceError if the board no longer answers: ask its ports, or open a window."""

@@ -7,6 +7,7 @@ import logging
 
 from cm.errors import CmError
 from cm.wire.messages.status import ErrorInfo, Reply
+from cm.wire.plane_packets import encode_refused
 
 _LOG = logging.getLogger(__name__)
 
@@ -18,6 +19,12 @@ def error_info(error: Exception) -> ErrorInfo:
     if isinstance(error, OSError):
         return ErrorInfo("device_error", str(error))
     return ErrorInfo("internal", f"{type(error).__name__}: {error}")
+
+
+def encode_refusal(error: Exception) -> bytes:
+    """What a client of the data socket is told about an error."""
+    info = error_info(error)
+    return encode_refused(info.code, info.message)
 
 
 def refusal(error: Exception) -> Reply:

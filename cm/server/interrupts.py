@@ -18,6 +18,7 @@ from cm.errors import CmError
 from cm.frozen import dataclass, field
 from cm.manager.manager import Manager
 from cm.schema.model import Config, Interrupt
+from cm.server.error_replies import error_info
 from cm.server.sockets import Loop
 from cm.wire.messages.status import ErrorInfo, Irq
 
@@ -76,7 +77,7 @@ class InterruptWatch:
         self.incomplete = False
         for interrupt in config.interrupts.values() if config else ():
             try:
-                self._watch(interrupt)
+                self._watch_line(interrupt)
             except (CmError, OSError) as error:
                 self.incomplete = True
                 _LOG.info("interrupt %s cannot be watched yet: %s", interrupt.name, error)
@@ -84,7 +85,7 @@ class InterruptWatch:
             if line.waiting:  # masked
                 self._serve(node, line)
 
-    def _watch(self, interrupt: Interrupt) -> None:
+    def _watch_line(self, interrupt: Interrupt) -> None:
         node = interrupt.uio or find_uio(interrupt.base_address or 0, 4, self._root)[0].node
         line = self._lines.get(node)
         if line is None:
@@ -106,14 +107,17 @@ class InterruptWatch:
             return
         line.new = 1 if line.last is None else max((count - line.last) & 0xFFFFFFFF, 1)
         line.last = count
-        line.waiting = deque(_by_status(line.names))
+        sharing: dict[str | None, list[Interrupt]] = {}  # a status register: it is read and acknowledged once for all
+        for interrupt in line.names:
+            sharing.setdefault(interrupt.status, []).append(interrupt)
+        line.waiting = deque(sharing.values())
         self._serve(node, line)
 
     def _serve(self, node: str, line: _Line) -> None:
         """Report the interrupts that came, acknowledge, and unmask; a line that cannot be acknowledged stays masked."""
         try:
             while line.waiting:
-                self._tell(line.waiting[0], line.new)
+                self._report(line.waiting[0], line.new)
                 line.waiting.popleft()
         except (CmError, OSError) as error:
             self._keep_masked(line, error)
@@ -124,7 +128,7 @@ class InterruptWatch:
         except OSError as error:
             self._end(node, error)
 
-    def _tell(self, sharing: list[Interrupt], new: int) -> None:
+    def _report(self, sharing: list[Interrupt], new: int) -> None:
         """Report those of one status register that came, after acknowledging them. Raises CmError, OSError."""
         now, status = time.monotonic_ns(), sharing[0].status
         ours = sum({1 << (interrupt.bit or 0) for interrupt in sharing if interrupt.acknowledge})
@@ -141,11 +145,11 @@ class InterruptWatch:
         names = ", ".join(interrupt.name for interrupt in line.waiting[0])
         if not line.reported and not self._manager.changing:
             line.reported = True
-            code = error.code if isinstance(error, CmError) else "device_error"
-            self._on_error(ErrorInfo(code, f"interrupt {names} is masked until it can be acknowledged: {error}"))
-        self._try_again()
+            said = f"interrupt {names} is masked until it can be acknowledged: {error}"
+            self._on_error(ErrorInfo(error_info(error).code, said))
+        self._retry_later()
 
-    def _try_again(self) -> None:
+    def _retry_later(self) -> None:
         if not self._retrying:
             self._retrying = True
             self._loop.call_later(_RETRY, self._retry)
@@ -159,7 +163,7 @@ class InterruptWatch:
         _LOG.warning("interrupt line %s ended: %s", node, error)
         self.incomplete = True
         self._drop(node)
-        self._try_again()
+        self._retry_later()
 
     def _drop(self, node: str) -> None:
         line = self._lines.pop(node, None)
@@ -171,11 +175,3 @@ class InterruptWatch:
         """Stop watching."""
         for node in list(self._lines):
             self._drop(node)
-
-
-def _by_status(names: list[Interrupt]) -> list[list[Interrupt]]:
-    """The interrupts grouped by status register, which is read and acknowledged once for all of them."""
-    found: dict[str | None, list[Interrupt]] = {}
-    for interrupt in names:
-        found.setdefault(interrupt.status, []).append(interrupt)
-    return list(found.values())

@@ -6,9 +6,10 @@ from __future__ import annotations
 import errno
 import logging
 import os
+from functools import partial
 from typing import NoReturn
 
-from cm.errors import Busy, InvalidRequest
+from cm.errors import Busy
 from cm.loop import Timer
 from cm.manager.access.leases import Leases
 from cm.server.sockets import Loop
@@ -16,7 +17,6 @@ from cm.wire.messages.requests import BreakLease, ReleaseLease, RenewLease, Take
 from cm.wire.messages.status import LeaseInfo
 
 _LOG = logging.getLogger("cm")
-_PID_MAX = 1 << 22  # PID_MAX_LIMIT of Linux
 _EXHAUSTED = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
 
 
@@ -35,12 +35,6 @@ class LeaseWatch:
         self._fds: dict[str, int] = {}
         self._timer: Timer | None = None
 
-    @staticmethod
-    def check_process(request: TakeLease | RenewLease | ReleaseLease | BreakLease) -> None:
-        """Raise InvalidRequest for a number that no process can have."""
-        if isinstance(request, (TakeLease, RenewLease)) and request.pid > _PID_MAX:
-            raise InvalidRequest(f"pid {request.pid}: no process has a number above {_PID_MAX}; 0: it is elsewhere")
-
     def follow(
         self, lease: LeaseInfo, request: TakeLease | RenewLease | ReleaseLease | BreakLease, client: str = ""
     ) -> None:
@@ -52,7 +46,7 @@ class LeaseWatch:
             done = "taken" if isinstance(request, TakeLease) else "given back"
             _LOG.info("lease on %s %s by %s for %s", lease.scope, done, client, lease.holder)
         if isinstance(request, (TakeLease, RenewLease)) and request.pid and lease.id not in self._fds:
-            self._open(lease.id, request.pid)
+            self._watch_holder(lease.id, request.pid)
 
     def _await_next_end(self) -> None:
         """Be there when the next lease's time is over: nobody may ask, and subscribers are told all the same."""
@@ -60,14 +54,10 @@ class LeaseWatch:
             self._timer.cancel()
         left = self._leases.expire()
         self._timer = None if left is None else self._loop.call_later(left, self._await_next_end)
-        self._forget_ended()
+        for lease in [lease for lease in self._fds if not self._leases.holds(lease)]:  # given back, or over
+            self._close(lease)
 
-    def _forget_ended(self) -> None:
-        """Close the descriptors of leases that were given back, whose holders died, or whose time is over."""
-        for lease in [lease for lease in self._fds if not self._leases.holds(lease)]:
-            self._forget(lease)
-
-    def _open(self, lease: str, pid: int) -> None:
+    def _watch_holder(self, lease: str, pid: int) -> None:
         try:
             fd = os.pidfd_open(pid)
         except ProcessLookupError:
@@ -78,7 +68,7 @@ class LeaseWatch:
                 self._refuse(lease, error)
             return  # no such call (Linux before 5.3), or not permitted: the time-out ends the lease
         try:
-            self._loop.add(fd, lambda: self._died(lease))
+            self._loop.add(fd, partial(self._drop_dead, lease))
         except OSError as error:
             os.close(fd)
             self._refuse(lease, error)
@@ -89,11 +79,12 @@ class LeaseWatch:
         self._leases.drop(lease)
         raise Unwatched(f"no lease now: its holder cannot be watched ({error.strerror})") from error
 
-    def _died(self, lease: str) -> None:
+    def _drop_dead(self, lease: str) -> None:
+        """Its holder has died."""
         self._leases.drop(lease)
-        self._forget_ended()
+        self._await_next_end()
 
-    def _forget(self, lease: str) -> None:
+    def _close(self, lease: str) -> None:
         fd = self._fds.pop(lease)
         self._loop.remove(fd)
         os.close(fd)
@@ -103,4 +94,4 @@ class LeaseWatch:
         if self._timer is not None:
             self._timer.cancel()
         for lease in list(self._fds):
-            self._forget(lease)
+            self._close(lease)

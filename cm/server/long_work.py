@@ -55,9 +55,9 @@ class RoundRobin:
     def _schedule(self) -> None:
         if not self._is_scheduled:
             self._is_scheduled = True
-            self._loop.call_soon(self._run_scheduled)
+            self._loop.call_soon(self._step_scheduled)
 
-    def _run_scheduled(self) -> None:
+    def _step_scheduled(self) -> None:
         self._is_scheduled = False
         if self._ring:
             self._step()
@@ -115,10 +115,10 @@ class FileThread:
             return
         _, (work, then) = self._waiting.take()
         self._runs = True
-        ended = partial(self._ended, then)
+        ended = partial(self._finish_job, then)
         self.thread.submit(work).add_done_callback(lambda done: self._loop.call_threadsafe(partial(ended, done)))
 
-    def _ended(self, then: Callable[[Result[Any]], None], done: Future[Any]) -> None:
+    def _finish_job(self, then: Callable[[Result[Any]], None], done: Future[Any]) -> None:
         self._runs = False
         self._run_next()
         then(done.result)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a daemon is to serve, as data."""
+"""How a daemon is to serve, as data, and what of it is read again."""
 
 from __future__ import annotations
 
@@ -11,9 +11,19 @@ from cm.frozen import dataclass, field
 from cm.manager.manager import Settings
 from cm.schema.model import Config
 from cm.server.publisher import BYTES
-from cm.server.reload import Reloaded
 from cm.server.rights.model import Access, Security
 from cm.server.settings.model import USUAL, Limits, ScrubSettings
+
+
+@dataclass(frozen=True, slots=True)
+class Reloaded:
+    """What was read: configurations by name, who may do what and use how much, and which changes need a restart."""
+
+    configs: Mapping[str, Config]
+    access: Access
+    limits: Limits = USUAL
+    notes: tuple[str, ...] = ()
+    whole: bool = True  # whether every schema on the search path was valid
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +41,6 @@ class Options:
     load: str = ""
     name: str = ""  # of the board, for people and to tell several apart; empty: that of its host
     queue_bytes: int = BYTES  # of frames that may wait for one subscriber over ZeroMQ
-    firmware_dir: Path | None = None  # for copies that the kernel reads; None: where it looks anyway
     assume_loaded: bool = False  # the PL holds a design, whatever the kernel knows of it
     example: bool = False  # `configs` are the shipped ones, which clients may replace
     unsigned: bool = True  # whether clients may provision configurations, which cannot be signed

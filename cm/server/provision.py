@@ -148,13 +148,9 @@ class Provisioner:
         """`unsigned`: whether unsigned configurations may be used; those that come over the wire are never signed."""
         self._folder = folder
         self._unsigned = unsigned
-        self._limits = limits
+        self.limits = limits
         self.reserved: frozenset[str] = frozenset()  # names of the administrator's configurations
         self.owned: Mapping[str, Owned] = {}
-
-    def renew(self, limits: Limits) -> None:
-        """Apply other limits from now on; configurations that were sent stay."""
-        self._limits = limits
 
     def stored(self) -> list[Path]:
         """The schema files of all configurations that were provisioned."""
@@ -215,7 +211,6 @@ class Provisioner:
         written = schema.encode()
         self._check_quota(config.name, len(written) + sum(len(f.data) for f in files), len(written), sender)
         with _stored_or_not(config.name):
-            private_folder(self._folder)
             self._write(config.name, written, files, sender)
         place = self._folder / config.name
         self.owned = {**self.owned, config.name: _owned(place)}
@@ -243,41 +238,37 @@ class Provisioner:
     def _check_quota(self, name: str, wanted: int, schema: int, sender: Sender) -> None:
         others = [owned for known, owned in self.owned.items() if known != name]
         own = [owned for owned in others if owned.account == sender.account]
-        on_disk, in_memory = [o.bytes for o in own], [o.schema for o in own]
-        all_on_disk, all_in_memory = [o.bytes for o in others], [o.schema for o in others]
         for whose, held, more, limit in (
-            ("yours", on_disk, wanted, self._limits.provisioned_each_bytes),
-            ("all clients'", all_on_disk, wanted, self._limits.provisioned_bytes),
-            ("schemas of yours", in_memory, schema, SCHEMAS_EACH),
-            ("schemas of all clients'", all_in_memory, schema, SCHEMAS_ALL),
+            ("yours", sum(o.bytes for o in own), wanted, self.limits.provisioned_each_bytes),
+            ("all clients'", sum(o.bytes for o in others), wanted, self.limits.provisioned_bytes),
+            ("schemas of yours", sum(o.schema for o in own), schema, SCHEMAS_EACH),
+            ("schemas of all clients'", sum(o.schema for o in others), schema, SCHEMAS_ALL),
         ):
-            if sum(held) + more > limit:
+            if held + more > limit:
                 raise QuotaExceeded(
-                    f"configuration {name!r} has {more} bytes; {whose} would have {sum(held) + more} together, of "
+                    f"configuration {name!r} has {more} bytes; {whose} would have {held + more} together, of "
                     f"{limit}: remove some (cm config remove)"
                 )
 
     def _write(self, name: str, schema: bytes, files: tuple[File, ...], sender: Sender) -> None:
         import tempfile  # with shutil 1 MiB, which most managers never need
 
-        new = Path(tempfile.mkdtemp(prefix=f".{name}-", dir=self._folder))
+        private_folder(self._folder)
+        new, place = Path(tempfile.mkdtemp(prefix=f".{name}-", dir=self._folder)), self._folder / name
         try:
             write(new / SCHEMA_FILE, schema)
             write(new / _OWNER, json.dumps({"account": sender.account, "name": sender.name}).encode())
             for file in files:
                 write(new / file.name, file.data)
             sync(new)
-            self._put_in_place(new, self._folder / name)
+            if place.exists():
+                _exchange(new, place)
+                self._confirm(name, lambda: _exchange(new, place))
+            else:
+                new.rename(place)
+                self._confirm(name, lambda: place.rename(new))
         finally:
             _remove(new)  # what it took the place of stands there now
-
-    def _put_in_place(self, new: Path, place: Path) -> None:
-        if not place.exists():
-            new.rename(place)
-            self._confirm(place.name, lambda: place.rename(new))
-            return
-        _exchange(new, place)
-        self._confirm(place.name, lambda: _exchange(new, place))
 
     def _confirm(self, name: str, undo: Callable[[], object]) -> None:
         """Have the disk confirm which folder has the name. Where it does not, the step is undone as far as it goes."""

@@ -24,7 +24,7 @@ from cm.manager.status_reports import config_list, is_long
 from cm.schema.model import Config, Stream
 from cm.server.audit_events import AuditEvents
 from cm.server.board_watch import BoardWatch
-from cm.server.client_quotas import Client, Clients, with_holdings
+from cm.server.client_quotas import Client, Clients
 from cm.server.connections import Connections
 from cm.server.error_replies import refusal
 from cm.server.interrupts import InterruptWatch
@@ -55,6 +55,7 @@ from cm.wire.messages.status import (
 from cm.wire.protobuf_messages import encoded_registers
 
 CHANGES_EACH = QUEUE_LENGTH - 1  # of one user, beside the one that runs: the last two are for others
+_PID_MAX = 1 << 22  # PID_MAX_LIMIT of Linux
 _OPERATE = Role.OPERATE  # looking it up in the enum's class takes time
 _T = TypeVar("_T")
 
@@ -180,8 +181,8 @@ def read_status(s: Services, _: Asked, request: rq.ReadStatus) -> Reply:
     """With what each client has, or what has happened, if that is asked for."""
     status = s.status()
     if request.clients:
-        held = status.leases, status.streams, s.streams.allocated()
-        status = replace(status, clients=with_holdings(s.clients.statuses(s.connections.counted()), *held))
+        held = s.connections.counted(), status.leases, status.streams, s.streams.allocated()
+        status = replace(status, clients=s.clients.statuses(*held))
     if request.history:
         history = s.manager.reporter.history
         status = replace(status, changes=history.changes(), writes=history.writes())
@@ -202,11 +203,6 @@ def read_config(s: Services, asked: Asked, request: rq.ReadConfig) -> Reply | No
         return Reply(described())
     s.read_files(asked, lambda: encode_body(described()), lambda made: Reply(encoded=made))
     return None
-
-
-def list_configs(s: Services, _: Asked, __: rq.ListConfigs) -> Reply:
-    """All configurations, with their origins."""
-    return Reply(listed(s))
 
 
 def plan_change(s: Services, asked: Asked, request: rq.PlanChange) -> None:
@@ -281,7 +277,7 @@ def remove_config(s: Services, asked: Asked, request: rq.RemoveConfig) -> None:
 
     def removed(_: object) -> Reply:
         s.manager.forget_config(request.config_name)
-        return Reply(listed(s))
+        return list_configs(s)
 
     s.read_files(asked, partial(s.provisioner.remove, request.config_name, sender_of(s, asked.connection)), removed)
 
@@ -291,7 +287,7 @@ def upload(s: Services, asked: Asked, request: rq.Upload) -> Reply:
     return Reply(s.uploads.take(asked.client, request))
 
 
-def listed(s: Services) -> ConfigInfo:
+def list_configs(s: Services, *_: object) -> Reply:
     """All configurations, with their origins."""
     plain, owned, reserved = config_list(s.manager.configs), s.provisioner.owned, s.provisioner.reserved
     entries = []
@@ -299,7 +295,7 @@ def listed(s: Services) -> ConfigInfo:
         whose = None if entry.name in reserved else owned.get(entry.name)
         said = ("client", whose.name, whose.bytes) if whose else ("administrator", "", 0)
         entries.append(replace(entry, origin=said[0], owner=said[1], bytes=said[2]))
-    return replace(plain, entries=tuple(entries))
+    return Reply(replace(plain, entries=tuple(entries)))
 
 
 def sender_of(s: Services, connection: str) -> Sender:
@@ -411,21 +407,18 @@ def _transfer(s: Services, asked: Asked, transfer: Transfer) -> Work:
             yield None
     finally:
         client.make(-reserved)
-    state, payload = s.manager.state, () if transfer.write else (transfer.data,)
-    return Reply(frame_info(transfer, state.config or "", state.mode or ""), payload=payload)
+    (shape, dtype), state = transfer.form, s.manager.state
+    info = FrameInfo(
+        transfer.memory.name, 0, time.monotonic_ns(), transfer.length, shape, dtype, state.config or "",
+        state.mode or "", offset=transfer.offset,
+    )  # fmt: skip
+    return Reply(info, payload=() if transfer.write else (transfer.data,))
 
 
 class OtherPixels(InvalidRequest):
     """A picture for a stream whose pixels lie in another order in memory."""
 
     code = PIXEL_FORMAT
-
-
-def frame_info(transfer: Transfer, config: str, mode: str) -> FrameInfo:
-    """What accompanies the payload of a memory."""
-    shape, dtype = transfer.form
-    memory, length = transfer.memory, transfer.length
-    return FrameInfo(memory.name, 0, time.monotonic_ns(), length, shape, dtype, config, mode, offset=transfer.offset)
 
 
 # ---- regions, interrupts and leases ---------------------------------------------------------
@@ -480,7 +473,8 @@ def take_lease(s: Services, asked: Asked, request: rq.TakeLease) -> Reply:
 
 def lease(s: Services, asked: Asked, request: rq.TakeLease | rq.RenewLease | rq.ReleaseLease | rq.BreakLease) -> Reply:
     """Renew it, give it back, or end another's."""
-    s.leases.check_process(request)
+    if isinstance(request, (rq.TakeLease, rq.RenewLease)) and request.pid > _PID_MAX:
+        raise InvalidRequest(f"pid {request.pid}: no process has a number above {_PID_MAX}; 0: it is elsewhere")
     info = s.manager.leases.request(request, asked.client.name, asked.client.account)
     s.leases.follow(info, request, asked.client.name)
     return Reply(info)

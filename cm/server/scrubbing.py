@@ -42,20 +42,13 @@ class Scrubber:
             self._loop.call_later(said.every, partial(self._pass, name))
 
     def _pass(self, name: str) -> None:
-        """Begin a pass; the next follows as long after its beginning as the settings say, and after its end."""
-        self._loop.call_later(self._settings[name].every, partial(self._again, name))
+        """Begin a pass, if the one before has ended; asked as often as the settings say."""
+        self._loop.call_later(self._settings[name].every, partial(self._pass, name))
         held = self._manager.state.region(name)
-        if held.phase is not RegionPhase.READY or held.module is None:
+        if name in self._under_way or held.phase is not RegionPhase.READY or held.module is None:
             return
         self._under_way.add(name)
         self._thread.submit(partial(self._prepare, name))
-
-    def _again(self, name: str) -> None:
-        """The next pass, once the one before has ended."""
-        if name in self._under_way:
-            self._loop.call_later(self._settings[name].every, partial(self._again, name))
-        else:
-            self._pass(name)
 
     def _prepare(self, name: str) -> None:
         """In the thread of files: what the region holds is read once, and kept."""
@@ -67,9 +60,9 @@ class Scrubber:
 
     def _check(self, name: str, what: Checked | CmError | OSError) -> None:
         if isinstance(what, Exception):
-            self._ended(name, what)
+            self._end_pass(name, what)
             return
-        ended = partial(self._ended, name)
+        ended = partial(self._end_pass, name)
         try:
             self._manager.check(what, lambda found: self._loop.call_threadsafe(partial(ended, found)), self._pace(name))
         except CmError as error:
@@ -84,9 +77,9 @@ class Scrubber:
 
         return pause
 
-    def _ended(self, name: str, found: RegionCheck | Exception) -> None:
+    def _end_pass(self, name: str, found: RegionCheck | Exception) -> None:
         if isinstance(found, Exception):
-            self._refused(name, found)
+            self._log_refusal(name, found)
             self._under_way.discard(name)
             return
         self._said.pop(name, None)
@@ -96,7 +89,7 @@ class Scrubber:
         policy = self._settings[name].policy
         _LOG.warning(
             "region %s (%s): %s bits in %s frames are wrong; policy: %s",
-            name, found.module, found.wrong_bits, found.wrong_frames, policy, extra={"cm_code": "region_wrong"},
+            name, found.module, found.wrong_bits, found.wrong_frames, policy,
         )  # fmt: skip
         if policy == "tell":
             self._under_way.discard(name)
@@ -106,10 +99,10 @@ class Scrubber:
         try:
             self._manager.repair(CheckRegion(name, repair=True), lambda _: done(), why=why)
         except CmError as error:
-            self._refused(name, error)
+            self._log_refusal(name, error)
             self._under_way.discard(name)
 
-    def _refused(self, name: str, error: Exception) -> None:
+    def _log_refusal(self, name: str, error: Exception) -> None:
         if self._said.get(name) != str(error):
             self._said[name] = str(error)
-            _LOG.warning("region %s is not compared: %s", name, error, extra={"cm_code": getattr(error, "code", "io")})
+            _LOG.warning("region %s is not compared: %s", name, error)

@@ -45,14 +45,6 @@ class Holds(Enum):
     WRITES = "a memory that is written"
 
 
-def _nothing(_: Any, __: Manager) -> Iterator[str]:
-    return iter(())
-
-
-def _never(_: Any, __: Manager) -> bool:
-    return False
-
-
 @dataclass(frozen=True, slots=True)
 class Row:
     """A kind of request. Its handler is given services, an `Asked` and the request, and returns the reply, or `Work`,
@@ -63,8 +55,8 @@ class Row:
     handler: Callable[[Any, Asked, Any], Reply | Work | None]
     right: Right
     waits: Waits
-    writes: Callable[[Any, Manager], Iterator[str]] = _nothing  # scopes (`cm.manager.access.leases`)
-    behind_memory: Callable[[Any, Manager], bool] = _never  # whether it waits for memories that are written
+    writes: Callable[[Any, Manager], Iterator[str]] = lambda *_: iter(())  # scopes (`cm.manager.access.leases`)
+    behind_memory: Callable[[Any, Manager], bool] = lambda *_: False  # whether it waits for memories that are written
     counted: bool = False  # among the long ones of its client, of which there are so many at most
     uploads: bool = False  # its data may have been uploaded before
 

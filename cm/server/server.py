@@ -15,7 +15,6 @@ from cm.errors import sentence
 from cm.manager.access.leases import Leases
 from cm.manager.manager import Environment, Manager
 from cm.manager.state.journal import Journal
-from cm.schema.model import Config
 from cm.server.audit_events import AuditEvents
 from cm.server.bitstream_and_overlay_files import BoardFiles
 from cm.server.board_watch import BoardWatch
@@ -26,11 +25,11 @@ from cm.server.dispatcher import Dispatcher
 from cm.server.interrupts import InterruptWatch
 from cm.server.lease_watch import LeaseWatch
 from cm.server.long_work import FileThread, RoundRobin
-from cm.server.options import Options
+from cm.server.options import Options, Reloaded
 from cm.server.private_folders import Locks, private_folder
 from cm.server.provision import Provisioner
 from cm.server.publisher import Publisher, StatusPublisher, mark
-from cm.server.reload import ReloadContext, Reloaded, Reloader
+from cm.server.reload import Reloader
 from cm.server.request_handlers import Services
 from cm.server.rights.admission import Gate
 from cm.server.rights.policy import system_users
@@ -42,7 +41,6 @@ from cm.server.streams.undeclared_streams import with_channels
 from cm.server.systemd import ServiceManager
 from cm.server.uploads import Uploads
 from cm.wire.messages.requests import ChangeMode
-from cm.wire.messages.status import ErrorInfo
 from cm.wire.plane_packets import Open, Purpose
 
 if TYPE_CHECKING:
@@ -76,7 +74,10 @@ class Server:
         self._provisioner = Provisioner(options.state_dir / "configs", options.unsigned, limits)
         self._journal = Journal(options.state_dir)
         self._files = FileThread(self._loop)
-        waiting = mark((configs := self._configs()).values(), options.queue_bytes)
+        self._provisioner.recover()
+        named = self._provisioner.standing(options.configs, options.example)
+        configs = {name: self._with_channels(config) for name, config in named.items()}
+        waiting = mark(configs.values(), options.queue_bytes)
         self._sockets = Sockets(self._context, options.runtime_dir, waiting, options.limits, options.group)
         self._authenticator = Authenticator(self._context, gate.enter)
         self._connections = Connections(gate, options.runtime_dir, self._sockets.tcp)
@@ -94,63 +95,46 @@ class Server:
             self._devices,
             subscribers=self._publisher,
             leases=leases,
-            on_error=self._note_error,
+            rights=self._connections,
+            on_error=lambda error: self._manager.note_error(error),  # noqa: PLW0108 (which is made after it)
             turns=self._turns,
             limits=options.limits,
         )
         self._status = StatusPublisher(self._loop, self._publisher, self._streams)
-        self._manager = Manager(configs, self._environment(), leases)
+        files = BoardFiles(options.root.join())
+        devices, journal = self._devices, self._journal
+        around = Environment(devices, files, journal, self._streams, time, self._status, options.settings)
+        self._manager = Manager(configs, around, leases)
         self._connections.begin(self._manager)
-        self._streams.begin(self._connections)
         self._windows: OpenWindows | None = None
         self._reads: LocalReads | None = None
         self._data_socket = DataSocket(
             self._loop, options.runtime_dir, self._purposes(), self._connections, self._turns, options.group
         )
         self._interrupts = InterruptWatch(
-            self._loop, options.root, self._manager, self._publisher.interrupt, self._note_error
+            self._loop, options.root, self._manager, self._publisher.interrupt, self._manager.note_error
         )
         self._status.begin(self._manager, self._interrupts)
         self._leases = LeaseWatch(self._loop, leases)
         parts = self._manager, self._streams, self._interrupts
         self._board = BoardWatch(self._devices.boot_id, self._devices.others, *parts, self._autoload)
         self._service = ServiceManager()
-        self._reloader = self._make_reloader()
+        self._reloader = Reloader(
+            options, self._manager, self._service, self._files.thread.submit, self._loop.call_threadsafe,
+            apply=self._renew,
+            standing=partial(self._provisioner.standing, example=options.example),
+            complete=self._with_channels,
+        )  # fmt: skip
         self._dispatcher = Dispatcher(
-            self._loop, self._sockets, self._services(), self._publisher, note_error=self._note_error
+            self._loop, self._sockets, self._services(), self._publisher, self._manager.note_error
         )
         self._sensors = SensorWatch(options.root, self._publisher.measured)
-
-    def _configs(self) -> dict[str, Config]:
-        self._provisioner.recover()
-        named = self._provisioner.standing(self._options.configs, self._options.example)
-        return {name: self._with_channels(config) for name, config in named.items()}
-
-    def _environment(self) -> Environment:
-        o = self._options
-        files = BoardFiles(o.root.join(), o.firmware_dir)
-        return Environment(self._devices, files, self._journal, self._streams, time, self._status, o.settings)
-
-    def _make_reloader(self) -> Reloader:
-        o = self._options
-        context = ReloadContext(
-            manager=self._manager,
-            renew=self._renew,
-            service=self._service,
-            thread=self._files.thread,
-            in_loop=self._loop.call_threadsafe,
-            standing=partial(self._provisioner.standing, example=o.example),
-            complete=self._with_channels,
-            read=o.reload,
-            stamps=o.changed,
-        )
-        return Reloader(context, o.configs)
 
     def _renew(self, found: Reloaded) -> None:
         """Apply other settings to what they bound; what exceeds a limit already stays."""
         self._connections.renew(found.access)
-        for part in (self._clients, self._uploads, self._streams, self._provisioner):
-            part.renew(found.limits)
+        for part in (self._clients, self._uploads, self._streams, self._streams.memories, self._provisioner):
+            part.limits = found.limits
         self._manager.leases.renew(found.limits.leases, found.limits.leases_each)
 
     def _services(self) -> Services:
@@ -181,7 +165,10 @@ class Server:
             self._bind()
             self._manager.start()  # what it finds out is logged with the status that tells it
             self._board.begin()
-            self._begin_scrubbing()
+            if self._options.scrub:
+                from cm.server.scrubbing import Scrubber
+
+                Scrubber(self._loop, self._manager, self._files.thread, self._options.scrub).begin()
             self._loop.every(_TICK, self._tick)
             self._sockets.announce()
             self._service.ready()
@@ -212,30 +199,22 @@ class Server:
         self._loop.add_socket(self._sockets.sub, self._dispatcher.on_message)
         self._loop.add_socket(self._sockets.req, self._dispatcher.on_request, foremost=True)
 
-    def _begin_scrubbing(self) -> None:
-        if self._options.scrub:
-            from cm.server.scrubbing import Scrubber
-
-            Scrubber(self._loop, self._manager, self._files.thread, self._options.scrub).begin()
-
     def _autoload(self) -> None:
         if self._options.load and self._manager.state.config is None:
             self._manager.submit(ChangeMode(*self._options.load.partition("/")[::2]), why="as it was started to")
 
     def _close(self) -> None:
         self._service.stopping()
+        registers = [part.close for part in (self._windows, self._reads) if part is not None]
         users = (self._uploads.close, self._streams.end, self._turns.close, self._interrupts.close)
         watches = (self._sensors.close, self._leases.close, self._files.close, self._board.close)
         board = (self._devices.lost, self._journal.close, self._sockets.close)
         last = (self._authenticator.close, self._context.term, self._loop.close, self._locks.release)
-        for end in (self._manager.stop, self._data_socket.close, self._close_windows, *users, *watches, *board, *last):
+        for end in (self._manager.stop, self._data_socket.close, *registers, *users, *watches, *board, *last):
             try:
                 end()
             except OSError as error:  # the others have their turn all the same
                 _LOG.warning("at the end: %s", sentence(error))
-
-    def _note_error(self, error: ErrorInfo) -> None:
-        self._manager.note_error(error)
 
     def _purposes(self) -> dict[Purpose, Serve]:
         """What a connection to the data socket is opened for, and who serves it."""
@@ -267,24 +246,15 @@ class Server:
             self._status.at_rest = self._windows.ask_again
         self._windows.open(connection, wanted, peer)
 
-    def _close_windows(self) -> None:
-        if self._windows is not None:
-            self._windows.close()
-        if self._reads is not None:
-            self._reads.close()
-
     # ---- regular work ---------------------------------------------------------------------
 
     def _tick(self) -> None:
         self._manager.flush()
         self._streams.refresh()
-        for poll in (
-            self._reloader.continue_waiting,
-            self._reloader.poll,
-            self._connections.end_expired,
-            self._board.poll,
-        ):
-            poll()
+        self._reloader.continue_waiting()
+        self._reloader.poll()
+        self._connections.end_expired()
+        self._board.poll()
         self._uploads.forget_old()
         self._clients.settle()
         self._connections.settle()

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from cm.errors import Busy, CmError, InvalidRequest, NotFound
-from cm.frozen import replace
+from cm.frozen import dataclass, replace
 from cm.server.client_quotas import Client
 from cm.server.sender_order import Asked
 from cm.server.settings.model import Limits
@@ -41,16 +41,12 @@ class UploadFailed(CmError):
     code: ClassVar[str] = "upload_failed"
 
 
+@dataclass(slots=True)
 class _Upload:
-    __slots__ = ("fd", "got", "length", "until")
-
-    def __init__(self, fd: int, length: int, until: float) -> None:
-        self.fd, self.length, self.until = fd, length, until
-        self.got = 0
-
-    def view(self) -> memoryview:
-        """Its bytes, for as long as the view lives."""
-        return memoryview(mmap.mmap(self.fd, self.length, access=mmap.ACCESS_READ)) if self.length else memoryview(b"")
+    fd: int
+    length: int
+    until: float
+    got: int = 0
 
 
 class Uploads:
@@ -60,12 +56,8 @@ class Uploads:
         """`total`: the bytes that all clients have stored now."""
         self._folder = folder
         self._total = total
-        self.renew(limits)
+        self.limits = limits
         self._there: dict[tuple[str, str], tuple[_Upload, Client]] = {}
-
-    def renew(self, limits: Limits) -> None:
-        """Apply other bounds from now on; what is stored stays."""
-        self._most, self._all_most = limits.upload_bytes, limits.uploads_bytes
 
     def take(self, client: Client, part: rq.Upload) -> UploadInfo:
         """Store a part. Raises InvalidRequest, TooMuchUploaded, UploadFailed."""
@@ -75,10 +67,18 @@ class Uploads:
             self._drop(key)
             return UploadInfo(part.id, part.length, 0)
         upload = self._there[key][0] if key in self._there else self._begin(key, client, part)
-        self._check(upload, part)
+        if part.length != upload.length or part.offset != upload.got:
+            raise InvalidRequest(
+                f"upload {part.id!r}: byte {part.offset} of {part.length} where {upload.got} of {upload.length} is next"
+            )
+        if part.offset + len(part.data) > part.length:
+            raise InvalidRequest(f"upload {part.id!r}: {len(part.data)} bytes at {part.offset} of {part.length}")
         self._check_room(client, len(part.data), part.length - upload.got)
         try:
-            _write(upload.fd, part)
+            rest, at = memoryview(part.data), part.offset
+            while rest:
+                done = os.pwrite(upload.fd, rest, at)
+                rest, at = rest[done:], at + done
         except OSError as error:
             self._drop(key)
             raise UploadFailed(f"upload {part.id!r} in {self._folder}: {error.strerror}") from error
@@ -100,7 +100,8 @@ class Uploads:
     def _check_room(self, client: Client, more: int, rest: int) -> None:
         """Raise TooMuchUploaded: what has come counts, not what a client says that will come, unless it is hopeless."""
         own = sum(upload.got for upload, other in self._there.values() if other.account == client.account)
-        if own + more > self._most or self._total() + more > self._all_most or rest > self._most:
+        most, of_all = self.limits.upload_bytes, self.limits.uploads_bytes
+        if own + more > most or self._total() + more > of_all or rest > most:
             raise TooMuchUploaded(
                 f"{own} bytes of {client.account} are stored here unused, {self._total()} of all; "
                 f"{max(more, rest)} more are too many (limits.uploads_mib: half of it for each user)"
@@ -115,15 +116,6 @@ class Uploads:
                 return os.dup(file.fileno())
         except OSError as error:
             raise UploadFailed(f"upload {part.id!r} in {self._folder}: {error.strerror}") from error
-
-    @staticmethod
-    def _check(upload: _Upload, part: rq.Upload) -> None:
-        if part.length != upload.length or part.offset != upload.got:
-            raise InvalidRequest(
-                f"upload {part.id!r}: byte {part.offset} of {part.length} where {upload.got} of {upload.length} is next"
-            )
-        if part.offset + len(part.data) > part.length:
-            raise InvalidRequest(f"upload {part.id!r}: {len(part.data)} bytes at {part.offset} of {part.length}")
 
     def fill_in(self, asked: Asked) -> None:
         """Give a request the bytes that were uploaded for it; they are used up once it is accepted.
@@ -148,7 +140,8 @@ class Uploads:
             got = f"{found[0].got} of {found[0].length} bytes are there" if found else "there is no upload of that name"
             raise UnknownUpload(f"upload {name!r}: {got}")
         try:
-            return found[0].view()
+            upload = found[0]
+            return memoryview(mmap.mmap(upload.fd, upload.length, access=mmap.ACCESS_READ) if upload.length else b"")
         except OSError as error:
             raise UploadFailed(f"upload {name!r}: {error.strerror}") from error
 
@@ -172,10 +165,3 @@ class Uploads:
         """Forget all."""
         for key in list(self._there):
             self._drop(key)
-
-
-def _write(fd: int, part: rq.Upload) -> None:
-    view, at = memoryview(part.data), part.offset
-    while view:
-        done = os.pwrite(fd, view, at)
-        view, at = view[done:], at + done

@@ -13,27 +13,31 @@ from contextlib import suppress
 from functools import partial
 
 from cm.errors import Busy, CmError
+from cm.frozen import dataclass
 from cm.manager.access.register_windows import Loan, WindowRequest
 from cm.manager.errors import HeldBy, ModuleAbsent, NothingLoaded, RegionBusy
 from cm.manager.manager import Manager
 from cm.server.client_process import Peer
 from cm.server.connections import Connections
 from cm.server.devices import BoardDevices
+from cm.server.error_replies import encode_refusal
 from cm.server.sockets import Loop
 from cm.wire.encode import encoded
-from cm.wire.plane_packets import Open, Purpose, WindowPages, encode_refused, encode_revoked, encode_window
+from cm.wire.plane_packets import Open, Purpose, WindowPages, encode_revoked, encode_window
 
 _LOG = logging.getLogger("cm")
 EACH, MOST = 48, 64  # windows of one user, and of all: each is taken back before a change goes on
 _NOT_YET = (ModuleAbsent, NothingLoaded, RegionBusy, HeldBy)  # what may be over after a change of mode
 
 
+@dataclass(slots=True, eq=False)
 class _Client:
     """A connection, and what it has or waits for."""
 
-    def __init__(self, connection: socket.socket, wanted: Open, peer: Peer) -> None:
-        self.connection, self.wanted, self.peer = connection, wanted, peer
-        self.loan: Loan | None = None
+    connection: socket.socket
+    wanted: Open
+    peer: Peer
+    loan: Loan | None = None
 
 
 class OpenWindows:
@@ -56,26 +60,28 @@ class OpenWindows:
         # It hangs up, or breaks the rules: there is nothing to be said over such a connection.
         self._loop.add(client.connection.fileno(), partial(self._forget, client))
         try:
-            self._try(client)
+            self._lend(client)
         except BaseException:
             self._forget(client)
             raise
 
-    def _try(self, client: _Client) -> None:
-        try:
-            self._lend(client)
-        except _NOT_YET:
-            if not client.wanted.wait:
-                raise
-
     def _lend(self, client: _Client) -> None:
+        """Lend what it wants, if that is there; if it waits, it may get it later."""
         wanted, peer = client.wanted, client.peer
         name = f"pid {peer.pid} ({peer.name})"
         writes = wanted.purpose is Purpose.WRITABLE_WINDOW
         request = WindowRequest(wanted.name, writes, wanted.exclusive, wanted.lease, name, peer.pid)
-        loan, fd = self._manager.windows.lend(request, self._devices, partial(self._ended, client))
+        try:
+            loan, fd = self._manager.windows.lend(request, self._devices, partial(self._taken_back, client))
+        except _NOT_YET:
+            if not wanted.wait:
+                raise
+            return
         client.loan = loan
-        self._watch()
+        if self._watched < 0:  # what the kernel takes back by itself is to be noticed
+            self._watched = self._manager.windows.fileno()
+            self._loop.add(self._watched, self._collect)
+            self._manager.windows.closing = self._unwatch
         table = os.memfd_create("cm-registers", os.MFD_CLOEXEC)
         try:
             os.write(table, encoded(loan.info))
@@ -93,11 +99,10 @@ class OpenWindows:
         for client in [client for client in self._clients if client.loan is None]:
             try:
                 self._rights.check_open(self._rights.whose(client.connection), client.wanted)
-                self._try(client)
+                self._lend(client)
             except (CmError, OSError) as error:
                 with suppress(OSError):
-                    code = error.code if isinstance(error, CmError) else "device_error"
-                    client.connection.send(encode_refused(code, str(error)), socket.MSG_NOSIGNAL)
+                    client.connection.send(encode_refusal(error), socket.MSG_NOSIGNAL)
                 self._forget(client)
 
     def _forget(self, client: _Client) -> None:
@@ -111,22 +116,16 @@ class OpenWindows:
             if written is not None:
                 self._manager.tell_registers(written)
 
-    def _ended(self, client: _Client, reason: int, config: str, mode: str) -> None:
+    def _taken_back(self, client: _Client, reason: int, config: str, mode: str) -> None:
         """Its pages were taken back. Any thread."""
-        self._loop.call_threadsafe(lambda: self._tell(client, encode_revoked(reason, config, mode)))
 
-    def _tell(self, client: _Client, packet: bytes) -> None:
-        if client in self._clients:
-            with suppress(OSError):  # it has gone, or reads nothing
-                client.connection.send(packet, socket.MSG_NOSIGNAL)
-            self._forget(client)
+        def hang_up() -> None:
+            if client in self._clients:
+                with suppress(OSError):  # it has gone, or reads nothing
+                    client.connection.send(encode_revoked(reason, config, mode), socket.MSG_NOSIGNAL)
+                self._forget(client)
 
-    def _watch(self) -> None:
-        """Look after what the kernel takes back by itself."""
-        if self._watched < 0:
-            self._watched = self._manager.windows.fileno()
-            self._loop.add(self._watched, self._collect)
-            self._manager.windows.closing = self._unwatch
+        self._loop.call_threadsafe(hang_up)
 
     def _collect(self) -> None:
         try:

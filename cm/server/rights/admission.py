@@ -185,7 +185,7 @@ class Gate:
 
 def check(who: Principal, rights: Rights, *needs: Need) -> None:
     """Raise Forbidden for what rights do not allow. Any thread."""
-    missing = policy.lacking(rights, needs)
+    missing = next((need for need in needs if not rights.allow(need)), None)
     if missing is not None:
         raise Forbidden(_sentence(who, missing))
 

@@ -26,11 +26,6 @@ class Role(IntEnum):
     ADMIN = 5  # take away leases and configurations of others; speak for others
 
 
-def role_named(name: str) -> Role:
-    """A role by its name in settings and key files. Raises KeyError."""
-    return Role[name.upper()]
-
-
 @dataclass(frozen=True, slots=True)
 class Security:
     """CURVE keys of the server (Z85, 40 characters)."""

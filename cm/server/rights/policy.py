@@ -11,10 +11,11 @@ from contextlib import suppress
 from fnmatch import fnmatchcase
 
 from cm.frozen import dataclass, replace
-from cm.server.rights.model import Access, Grant, Need, Rights, Role, role_named
+from cm.server.rights.model import Access, Grant, Rights, Role
 from cm.server.rights.principal import CURVE, DATA, IPC, TCP, Principal
 
 NOTHING = Rights()
+_OF_ROLES = {role.name.lower(): Grant(role) for role in Role}
 _ADMIN = Rights((Grant(Role.ADMIN),))
 
 
@@ -82,21 +83,8 @@ def of_guest(name: str, bridge: Rights, access: Access) -> Rights:
 
 def grants(roles: Iterable[str], access: Access) -> tuple[Grant, ...]:
     """The grants of roles by name; names of no role give no grant (settings refuse them beforehand)."""
-    return tuple(found for name in roles if (found := _grant(name, access)) is not None and found.role > Role.NONE)
-
-
-def _grant(name: str, access: Access) -> Grant | None:
-    if name in access.roles:
-        return access.roles[name]
-    try:
-        return Grant(role_named(name))
-    except KeyError:
-        return None
-
-
-def lacking(rights: Rights, needs: Iterable[Need]) -> Need | None:
-    """The first need that rights do not allow."""
-    return next((need for need in needs if not rights.allow(need)), None)
+    known = {**_OF_ROLES, **access.roles}
+    return tuple(known[name] for name in roles if name in known and known[name].role > Role.NONE)
 
 
 def system_users() -> Users:

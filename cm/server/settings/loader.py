@@ -6,7 +6,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping
-from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar
@@ -17,7 +16,7 @@ from cm.schema.problems import KeyPath, Problem, SchemaError, did_you_mean, key_
 from cm.schema.reader import Refused, read
 from cm.schema.structure import Structure
 from cm.schema.tree import Mark, Node, Table, locate, plain
-from cm.server.rights.model import Access, Grant, Role, role_named
+from cm.server.rights.model import Access, Grant, Role
 from cm.server.settings.model import (
     FILE,
     DmaSettings,
@@ -44,30 +43,23 @@ def access(values: Mapping[str, Any]) -> Access:
     for name in (name for name in _PEOPLE if name in known):
         known[name] = MappingProxyType({who: tuple(roles) for who, roles in known[name].items()})
     if "roles" in known:
-        known["roles"] = MappingProxyType({name: _grant(said) for name, said in known["roles"].items()})
+        roles = {}
+        for name, said in known["roles"].items():
+            patterns = {key: tuple(found) for key, found in said.items() if key != "role"}
+            roles[name] = Grant(Role[said["role"].upper()], **patterns)
+        known["roles"] = MappingProxyType(roles)
     return Access(**known)
-
-
-def _grant(said: Mapping[str, Any]) -> Grant:
-    patterns = {name: tuple(found) for name, found in said.items() if name != "role"}
-    return Grant(role_named(said["role"]), **patterns)
 
 
 def unknown_roles(values: Mapping[str, Any]) -> Iterator[tuple[KeyPath, str, str]]:
     """Names of roles that do not exist: where they stand, and what may have been meant."""
     known = {*(role.name.lower() for role in Role if role), *values.get("roles", ())}
-    for path, roles in _named(values):
+    named: list[tuple[KeyPath, list[str]]] = [((name,), values.get(name, [])) for name in _LISTS]
+    named += [((name, who), roles) for name in _PEOPLE for who, roles in values.get(name, {}).items()]
+    for path, roles in named:
         for index, role in enumerate(roles):
             if role not in known:
                 yield ("access", *path, index), f"no role {role!r}", did_you_mean(role, sorted(known))
-
-
-def _named(values: Mapping[str, Any]) -> Iterator[tuple[KeyPath, list[str]]]:
-    for name in _LISTS:
-        yield (name,), values.get(name, [])
-    for name in _PEOPLE:
-        for who, roles in values.get(name, {}).items():
-            yield (name, who), roles
 
 
 def impossible(values: Mapping[str, Any]) -> Iterator[tuple[KeyPath, str, str]]:
@@ -97,7 +89,7 @@ _GROUPS = {
     "limits": LimitSettings,
 }
 _SECONDS = {"ms": 0.001, "s": 1.0, "min": 60.0, "h": 3600.0}
-_PATHS = ("keys", "signers", "runtime_dir", "state_dir", "firmware_dir")
+_PATHS = ("keys", "signers", "runtime_dir", "state_dir")
 
 
 class SettingsError(SchemaError):
@@ -126,19 +118,16 @@ def load_settings(path: Path = FILE) -> Settings:
 
 def parse_settings(text: str, source: Path | None = None) -> Settings:
     """The settings in `text`; `source` names its file in messages. Raises SettingsError."""
-    return _settings(_Reading(source).values(text))
+    values = _Reading(source).values(text)
+    known: dict[str, Any] = {name: _value(name, values[name]) for name in values}
+    assert known.keys() <= set(names(Settings))  # schema and data name the same keys
+    return replace(Settings(), **known)
 
 
 def settings_schema() -> dict[str, Any]:
     """The JSON Schema of the file, for editors and tools."""
     schema: dict[str, Any] = json.loads(SCHEMA.read_text(encoding="utf-8"))
     return schema
-
-
-def _settings(values: Mapping[str, Any]) -> Settings:
-    known: dict[str, Any] = {name: _value(name, values[name]) for name in values}
-    assert known.keys() <= set(names(Settings))  # schema and data name the same keys
-    return replace(Settings(), **known)
 
 
 def _value(name: str, value: Any) -> Any:
@@ -165,11 +154,6 @@ def _scrub(said: Mapping[str, str]) -> ScrubSettings:
     return ScrubSettings(**known)
 
 
-@lru_cache(maxsize=1)
-def _structure() -> Structure:
-    return Structure(settings_schema())
-
-
 class _Reading:
     """One text, and what is wrong with it."""
 
@@ -179,14 +163,14 @@ class _Reading:
         self._root: Node = Table(Mark(1, 1))
 
     def values(self, text: str) -> dict[str, Any]:
-        if _is_blank(text):
-            return {}
+        if all(not line.strip() or line.lstrip().startswith("#") for line in text.splitlines()):
+            return {}  # only comments, as in the shipped file: all settings have their defaults
         try:
             tree = read(text, self._report_mark)
         except Refused as refused:
             self._report_mark(refused.mark, refused.code, refused.message, refused.hint)
             raise SettingsError(self._problems) from None
-        structure = _structure()
+        structure = Structure(settings_schema())
         self._root = structure.fit(tree, self._report_at)
         for path, code, message, hint in structure.values(self._root):
             self._report_at(locate(self._root, path), path, code, message, hint)
@@ -205,8 +189,3 @@ class _Reading:
 
     def _report_at(self, mark: Mark, path: KeyPath, code: str, message: str, hint: str) -> None:
         self._problems.append(Problem(self._source, mark.line, mark.column, key_path(path), code, message, hint))
-
-
-def _is_blank(text: str) -> bool:
-    """Whether there are only comments, as in the shipped file: all settings have their defaults."""
-    return all(not line.strip() or line.lstrip().startswith("#") for line in text.splitlines())

@@ -94,7 +94,6 @@ class Settings:
     name: str = ""
     runtime_dir: Path | None = None
     state_dir: Path | None = None
-    firmware_dir: Path | None = None
     assume_loaded: bool = False
     log: str = "warning"
     streams: StreamSettings = StreamSettings()

@@ -15,9 +15,7 @@ from cm.wire.messages.requests import ConfigureStream
 from cm.wire.plane_packets import DIMENSIONS, SLOTS_MAX
 
 _MAX_FRAME = 1 << 30
-_NUMBERS = "biufc"  # kinds of numpy's dtypes that a frame may be made of
-_DTYPE_NAME = 15  # bytes that a packet has for it
-_LENGTH_BITS = 26  # of an AXI DMA's length register at most
+_LENGTH_BITS = 26  # of an AXI DMA's length register at most (PG021)
 _SLOT = 1 << 20  # bytes where neither schema nor channel says how long a frame is
 
 
@@ -97,8 +95,11 @@ def setup(info: DmaInfo, stream: Stream) -> StreamSetup:
     length = frame or stream.slot_bytes or info.frame_length or min(_SLOT, info.max_length)
     one, what = (line_bytes, "a line") if video else (length, "a frame")
     if one > info.max_length:
+        wider, bits = "", one.bit_length()
+        if info.type is DmaType.AXIDMA and bits <= _LENGTH_BITS:
+            wider = f"; its design would need a 'Width of Buffer Length Register' of {bits} bits or more"
         raise InvalidRequest(
-            f"{name}: {what} has {one} bytes, channel {info.name} moves {info.max_length} at most{_wider(info, one)}"
+            f"{name}: {what} has {one} bytes, channel {info.name} moves {info.max_length} at most{wider}"
         )
     if video:
         length = (lines - 1) * stride + line_bytes
@@ -106,14 +107,6 @@ def setup(info: DmaInfo, stream: Stream) -> StreamSetup:
     period = round(1e9 / stream.limit) if stream.limit else 0
     shape = (lines, line_bytes, stride) if video else (0, 0, 0)
     return StreamSetup(write, length, stream.backpressure, cyclic, *shape, period)
-
-
-def _wider(info: DmaInfo, length: int) -> str:
-    """Say what would let an AXI DMA move more at once: its length register has 8 to 26 bits (PG021)."""
-    bits = length.bit_length()
-    if info.type is not DmaType.AXIDMA or bits > _LENGTH_BITS:
-        return ""
-    return f"; its design would need a 'Width of Buffer Length Register' of {bits} bits or more"
 
 
 def _check_alignment(info: DmaInfo, stream: Stream, one: int, stride: int) -> None:
@@ -134,22 +127,8 @@ def _lines(stream: Stream) -> tuple[int, int]:
 
 
 def frame_bytes(stream: Stream) -> int:
-    """Bytes of one frame; 0 if the schema gives no shape. Raises InvalidRequest for a dtype that is not numeric."""
-    item = ITEM_BYTES.get(stream.dtype) or _item_bytes(stream)
+    """Bytes of one frame; 0 if the schema gives no shape. Raises InvalidRequest for a dtype that is not known."""
+    item = ITEM_BYTES.get(stream.dtype)
+    if item is None:
+        raise InvalidRequest(f"stream {stream.name!r}: no dtype {stream.dtype!r}; there are {', '.join(ITEM_BYTES)}")
     return math.prod(stream.shape) * item if stream.shape is not None else 0
-
-
-def _item_bytes(stream: Stream) -> int:
-    """Bytes of one item, also of dtypes that schemas do not know but requests may name, such as ``<u2``.
-
-    Only these make a manager import numpy, which takes 11 MiB.
-    """
-    import numpy as np
-
-    try:
-        dtype = np.dtype(stream.dtype)
-    except (TypeError, ValueError, SyntaxError):
-        dtype = None
-    if dtype is None or dtype.kind not in _NUMBERS or len(stream.dtype.encode()) > _DTYPE_NAME:
-        raise InvalidRequest(f"stream {stream.name!r}: {stream.dtype!r} is not a numpy dtype such as 'uint8'")
-    return dtype.itemsize

@@ -22,9 +22,10 @@ from cm.errors import Busy, CmError, InvalidRequest
 from cm.frozen import dataclass, field
 from cm.server.client_process import Peer
 from cm.server.devices import DeviceMemory
-from cm.server.settings.model import USUAL
+from cm.server.error_replies import encode_refusal
+from cm.server.settings.model import Limits
 from cm.server.sockets import Loop
-from cm.wire.plane_packets import ADDRESS, Descriptor, Geometry, Open, Purpose, encode_geometry, encode_refused
+from cm.wire.plane_packets import ADDRESS, Descriptor, Geometry, Open, Purpose, encode_geometry
 
 MEMORIES = 64  # of one user: each takes file descriptors, however small it is
 _MAX_DEPTH = 16  # slots of an echo
@@ -68,18 +69,14 @@ def check_share(peer: Peer, length: int, held: Sequence[tuple[Peer, int]], each:
 class ClientMemories:
     """The memory that clients of the data socket hold, by their number in the plane. The loop's thread."""
 
-    def __init__(self, loop: Loop, plane: Plane, take_of_port: _Take, take: _Take) -> None:
+    def __init__(self, loop: Loop, plane: Plane, take_of_port: _Take, take: _Take, limits: Limits) -> None:
         """`take` allocates memory from any source; `take_of_port` from a configuration port, in another thread too."""
         self._loop = loop
         self._plane = plane
         self._take_of_port, self._take = take_of_port, take
         self._thread = ThreadPoolExecutor(1, "cm-memory")
         self._held: dict[int, _Held] = {}
-        self.renew(USUAL.memory_each_bytes, USUAL.memory_bytes)
-
-    def renew(self, each: int, most: int) -> None:
-        """Set other limits in bytes, of one user and in total; memory already allocated stays."""
-        self._each, self._most = each, most
+        self.limits = limits
 
     def held(self) -> list[tuple[Peer, int]]:
         """The memories that there are: whose, and of how many bytes."""
@@ -93,14 +90,14 @@ class ClientMemories:
         depth, length = 1, wanted.length
         if echo:
             depth, length = min(wanted.depth or 2, _MAX_DEPTH), -(-length // mmap.PAGESIZE) * mmap.PAGESIZE
-        check_share(peer, depth * length, self.held(), self._each, self._most)
+        check_share(peer, depth * length, self.held(), self.limits.memory_each_bytes, self.limits.memory_bytes)
         client = self._plane.adopt(os.dup(connection.fileno()))
         self._held[client] = _Held(peer, depth * length, connection.dup())
         made = self._thread.submit(lambda: _echo(depth, length) if echo else [self._take_of_port(length)])
-        came = partial(self._came, client, wanted)
+        came = partial(self._answer_open, client, wanted)
         made.add_done_callback(lambda done: self._loop.call_threadsafe(partial(came, done)))
 
-    def _came(self, client: int, wanted: Open, taken: Future[list[DeviceMemory]]) -> None:
+    def _answer_open(self, client: int, wanted: Open, taken: Future[list[DeviceMemory]]) -> None:
         held = self._held.get(client)
         if held is None or held.connection is None:  # it has gone
             if taken.exception() is None:
@@ -114,8 +111,7 @@ class ClientMemories:
                 self.gone(client)
                 self._plane.drop(client)
                 with suppress(OSError):
-                    code = error.code if isinstance(error, CmError) else "device_error"
-                    connection.send(encode_refused(code, str(error)))
+                    connection.send(encode_refusal(error))
 
     def _hand_over(self, client: int, held: _Held, wanted: Open, taken: Future[list[DeviceMemory]]) -> None:
         try:

@@ -7,9 +7,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
-from typing import Any
 
 from cm.errors import Busy, InvalidRequest, Timeout
 from cm.manager.errors import NothingLoaded, UnknownStream, hint
@@ -84,10 +83,7 @@ class StreamLifecycle:
                 yield _E.CLOSE, stream
 
     def rest(self, name: str, silent: bool = False) -> None:
-        """Note that a stream could not be opened: it is due again after a while, or in another mode.
-
-        Its closing would otherwise be an event upon which it is asked for at once.
-        """
+        """A stream could not be opened: it is due again after a while, or in another mode, and not at its closing."""
         machine = self.machine(name)
         machine.silent, machine.rest_until = silent, time.monotonic() + (_SILENT if silent else _REST)
 
@@ -134,7 +130,10 @@ class StreamLifecycle:
 
         def take_back() -> None:
             if self.streams.get(name) is wanted:  # it has not been changed again since
-                self._set, self._runs = _restored(self._set, name, held), _restored(self._runs, name, runs)
+                self._set.pop(name, None)
+                self._runs.pop(name, None)
+                self._set |= {k: v for k, v in held.items() if k == name}
+                self._runs |= {k: v for k, v in runs.items() if k == name}
                 self.streams = {**self.streams, name: stream}
 
         return take_back
@@ -144,7 +143,11 @@ class StreamLifecycle:
         if self.config is None:
             raise NothingLoaded("nothing is loaded, so there are no streams")
         if not name and direction is not None:
-            return _only(direction, self.streams.values())
+            fitting = [s for s in self.streams.values() if s.direction is direction]
+            if len(fitting) == 1:
+                return fitting[0]
+            names = ", ".join(s.name for s in fitting) or "none"
+            raise UnknownStream(f"name a stream; {direction.value} streams of this mode are {names}")
         stream = self.streams.get(name)
         if stream is None:
             where = f"in mode {self.mode!r}" if self.mode else f"while {self.config.name} is in no mode"
@@ -152,15 +155,3 @@ class StreamLifecycle:
         if direction is not None and stream.direction is not direction:
             raise InvalidRequest(f"stream {name!r} is {stream.direction.value}: it cannot be used the other way")
         return stream
-
-
-def _restored(held: dict[str, Any], name: str, before: dict[str, Any]) -> dict[str, Any]:
-    return {k: v for k, v in held.items() if k != name} | {k: v for k, v in before.items() if k == name}
-
-
-def _only(direction: Direction, streams: Collection[Stream]) -> Stream:
-    fitting = [s for s in streams if s.direction is direction]
-    if len(fitting) == 1:
-        return fitting[0]
-    names = ", ".join(s.name for s in fitting) or "none"
-    raise UnknownStream(f"name a stream; {direction.value} streams of this mode are {names}")

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from cm.device import DeviceGone, DeviceTimeout
 from cm.errors import Busy
+from cm.frozen import dataclass
 from cm.schema.model import Direction, Stream
 from cm.server.client_process import Peer
 from cm.wire.plane_packets import SLOTS_MAX
@@ -100,27 +101,24 @@ def share(stream: str, depth: int, peer: Peer, held: Iterable[tuple[Peer, int]],
     return min(depth, most)
 
 
+@dataclass(slots=True, eq=False)
 class Member:
-    """A client of a stream, which it stays while the stream is closed; but for the daemon's own (`peer` None)."""
+    """A client of a stream, which it stays while the stream is closed; but for the daemon's own (`ours`).
 
-    __slots__ = (
-        "check", "client", "depth", "error", "joined", "leaving", "lends", "ours", "peer", "settled", "stopped"
-    )  # fmt: skip
+    `stopped` is to be called with an errno, or 0, if the stream ends while the client waits.
+    """
 
-    def __init__(
-        self, client: int, depth: int, peer: Peer | None, stopped: Callable[[int], object], lends: bool = False
-    ) -> None:
-        """`stopped` is to be called with an errno, or 0, if the stream ends while the client waits.
-
-        `lends`: it transfers memory of its own, and needs no slots.
-        """
-        self.client, self.depth, self.stopped, self.lends = client, depth, stopped, lends
-        self.ours, self.peer = peer is None, peer or Peer.ourselves()
-        self.joined = False  # it has its slots; else it waits for them, or for the stream
-        self.leaving = False  # it only holds frames yet
-        self.settled = False  # its first wait is over
-        self.error: Exception | None = None  # why it was refused
-        self.check: Callable[[Stream], object] = lambda _: None  # raises what forbids it the stream as it is now
+    client: int
+    depth: int
+    peer: Peer
+    ours: bool
+    stopped: Callable[[int], object]
+    lends: bool  # it transfers memory of its own, and needs no slots
+    joined: bool = False  # it has its slots; else it waits for them, or for the stream
+    leaving: bool = False  # it only holds frames yet
+    settled: bool = False  # its first wait is over
+    error: Exception | None = None  # why it was refused
+    check: Callable[[Stream], object] = lambda _: None  # raises what forbids it the stream as it is now
 
 
 class StepKind(Enum):
@@ -199,7 +197,8 @@ class StreamMachine:
         if peer is not None:
             held = [(member.peer, member.depth) for member in self.members.values() if not member.ours]
             depth = share(self.name, depth, peer, held, each)
-        member = self.members[client] = Member(client, depth, peer, stopped, lends)
+        whose = peer or Peer.ourselves()
+        member = self.members[client] = Member(client, depth, whose, peer is None, stopped, lends)
         return member
 
     def left(self, client: int) -> None:

@@ -69,9 +69,9 @@ class ZmqClient:
         except BlockingIOError:
             return
         if len(packet) >= DESCRIPTOR.size:
-            self._take(Descriptor(*DESCRIPTOR.unpack_from(packet)))
+            self._take_packet(Descriptor(*DESCRIPTOR.unpack_from(packet)))
 
-    def _take(self, packet: Descriptor) -> None:
+    def _take_packet(self, packet: Descriptor) -> None:
         raise NotImplementedError
 
 
@@ -111,7 +111,7 @@ class ZmqReader(ZmqClient):
         self._readers.append(entry[0])
         self._used_at = time.monotonic()
 
-    def _take(self, packet: Descriptor) -> None:
+    def _take_packet(self, packet: Descriptor) -> None:
         if packet.kind == packets.GENERATION:
             self._generation = packet.sequence
         if packet.kind == packets.FAILED:
@@ -181,16 +181,8 @@ class ZmqWriter(ZmqClient):
 
     def write(self, data: bytes | memoryview, done: Done) -> None:
         """Send a frame. Raises InvalidRequest for a wrong size, and Busy if too many frames are waiting."""
-        self._check_size(memoryview(data).nbytes)
-        if len(self._waiting) >= _WAITING:
-            name = self._stream.stream.name
-            raise Busy(f"stream {name!r}: {_WAITING} frames wait already; the hardware takes none")
-        self._used_at = time.monotonic()
-        self._waiting.append((data, done))
-        self._send()
-
-    def _check_size(self, size: int) -> None:
-        s, frame = self._stream.stream, frame_bytes(self._stream.stream)
+        s, size = self._stream.stream, memoryview(data).nbytes
+        frame = frame_bytes(s)
         if frame and size != frame:
             text = f"{'×'.join(map(str, s.shape or ()))} {s.dtype}"
             raise InvalidRequest(f"stream {s.name!r} takes frames of {text}, {frame} bytes; this one has {size}")
@@ -198,6 +190,11 @@ class ZmqWriter(ZmqClient):
             raise InvalidRequest(
                 f"stream {s.name!r} takes 1 to {self._stream.setup.length} bytes; this frame has {size}"
             )
+        if len(self._waiting) >= _WAITING:
+            raise Busy(f"stream {s.name!r}: {_WAITING} frames wait already; the hardware takes none")
+        self._used_at = time.monotonic()
+        self._waiting.append((data, done))
+        self._send()
 
     def _send(self) -> None:
         while self._free and self._waiting:
@@ -236,15 +233,15 @@ class ZmqWriter(ZmqClient):
                 )
             )
 
-    def _take(self, packet: Descriptor) -> None:
+    def _take_packet(self, packet: Descriptor) -> None:
         if packet.kind == packets.DONE:
-            self._done(packet)
+            self._complete_write(packet)
         repeated = self._stream.setup.cyclic and packet.offset == 0  # by the hardware, so that its slot is not free yet
         if packet.kind == packets.GRANT or (packet.kind == packets.DONE and not repeated):
             self._free.append(packet)
             self._send()
 
-    def _done(self, packet: Descriptor) -> None:
+    def _complete_write(self, packet: Descriptor) -> None:
         done, timer = self._under_way.pop(packet.slot)
         timer.cancel()
         self._used_at = time.monotonic()

@@ -27,6 +27,7 @@ from cm.schema.model import Config, Direction, Stream
 from cm.server.client_process import Peer
 from cm.server.connections import Connections
 from cm.server.devices import BoardDevices
+from cm.server.error_replies import error_info
 from cm.server.long_work import NOT_YET, RoundRobin
 from cm.server.settings.model import USUAL, Limits
 from cm.server.sockets import Loop
@@ -70,6 +71,7 @@ class Streams:
         devices: BoardDevices,
         subscribers: Subscribers,
         leases: Leases,
+        rights: Connections,
         on_error: Callable[[ErrorInfo], None],
         turns: RoundRobin,
         limits: Limits = USUAL,
@@ -83,23 +85,14 @@ class Streams:
         self._lifecycle = StreamLifecycle()
         self._plane = Plane()
         self.wrote = self._plane.wrote
-        self.memories = ClientMemories(loop, self._plane, devices.port_memory, devices.memory)
+        self.memories = ClientMemories(loop, self._plane, devices.port_memory, devices.memory, limits)
         self._open: dict[str, OpenStream] = {}
         self._ours: dict[str, ZmqReader | ZmqWriter] = {}  # our own clients, for ZeroMQ, by their stream
         self._failures: dict[str, ErrorInfo] = {}  # by stream of this mode: why it last failed
         self._idle: dict[str, tuple[Stream, StreamStatus]] = {}
-        self._rights: Connections
-        self.renew(limits)
-        loop.add(self._plane.fileno(), self._plane_event)
-
-    def begin(self, rights: Connections) -> None:
-        """Ask this for the rights of clients of the data socket, from before the first one."""
         self._rights = rights
-
-    def renew(self, limits: Limits) -> None:
-        """Set other limits; clients keep what they have."""
-        self._slots_each = limits.slots_each
-        self.memories.renew(limits.memory_each_bytes, limits.memory_bytes)
+        self.limits = limits
+        loop.add(self._plane.fileno(), self._plane_event)
 
     def close(self) -> None:
         """Stop all streams."""
@@ -283,7 +276,7 @@ class Streams:
             lends = wanted.purpose is Purpose.TRANSFER
             if lends or machine.is_lent:
                 self._make_way(stream)
-            member = machine.join(client, wanted.depth, peer, self._slots_each, stopped, lends)
+            member = machine.join(client, wanted.depth, peer, self.limits.slots_each, stopped, lends)
             member.check = check
             if not self._lifecycle.may_run(stream.name) and stream.name not in self._open:
                 member.settled = True
@@ -437,8 +430,7 @@ class Streams:
     def _could_not_open(self, name: str, error: CmError | OSError, told: bool = False) -> None:
         self._lifecycle.rest(name, silent=isinstance(error, DeviceTimeout))
         if not told:
-            code = error.code if isinstance(error, CmError) else "device_error"
-            self._failed(name, ErrorInfo(code, f"stream {name!r} cannot be opened: {error}"))
+            self._failed(name, ErrorInfo(error_info(error).code, f"stream {name!r} cannot be opened: {error}"))
 
     def _failed(self, name: str, error: ErrorInfo) -> None:
         self._failures[name] = error

@@ -2,17 +2,19 @@
 """An open stream: its DMA channel and slots, handed to the data plane, which moves the frames; and its figures.
 
 The plane's C thread (`cm.device.data_plane`) does all work per frame; streams are opened, measured and closed here,
-in the loop's thread. `machine` says what is to be done, `slots` has the memory.
+in the loop's thread. `machine` says what is to be done, a few slots in each step.
 """
 
 from __future__ import annotations
 
 import errno
+import fcntl
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 
-from cm.device import AxiDma, DmaBuffer, DmaInfo, DmaType
+from cm.device import AxiDma, DeviceGone, DmaBuffer, DmaInfo, DmaType
 from cm.device.data_plane import Plane, StreamCounts, StreamSetup
 from cm.errors import InvalidRequest
 from cm.frozen import dataclass, replace
@@ -20,9 +22,38 @@ from cm.manager.status_reports import stream_status
 from cm.schema.model import Direction, Stream
 from cm.server.streams.channel_setup import frame_bytes, longest, setup
 from cm.server.streams.machine import DEPTH, Step, StepKind, StreamMachine, StreamPhase
-from cm.server.streams.slots import Slots
 from cm.wire.messages.status import ErrorInfo, FrameInfo, StreamClient, StreamStatus
 from cm.wire.plane_packets import Descriptor, Geometry, encode_geometry, encode_label
+
+_F_SEAL_FUTURE_WRITE = 0x0010  # linux/fcntl.h; the module has it from Python 3.13 on
+
+
+def for_readers(slot: DmaBuffer) -> int:
+    """Return a descriptor that readers can neither map writable nor reopen so, if it is a memfd (a simulated board).
+
+    A dma-buf takes no seals and cannot be reopened: see docs/security.md.
+    """
+    if slot.coherent:  # otherwise it has counters beside its content, which readers write to
+        _seal(slot.fd, _F_SEAL_FUTURE_WRITE | fcntl.F_SEAL_SEAL)
+    try:
+        return os.open(f"/proc/self/fd/{slot.fd}", os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return os.dup(slot.fd)
+
+
+def for_writers(slot: DmaBuffer) -> int:
+    """Return a descriptor for writers, none of whom can seal the memory against the others."""
+    _seal(slot.fd, fcntl.F_SEAL_SEAL)
+    return os.dup(slot.fd)
+
+
+def _seal(fd: int, seals: int) -> None:
+    with suppress(OSError):  # a dma-buf, or Linux before 5.1
+        fcntl.fcntl(fd, fcntl.F_ADD_SEALS, seals)
+
+
+AT_ONCE = 8  # slots allocated, given or freed in one step
+_LONG = 200_000  # nanoseconds after which a step ends even if it allocated fewer
 
 
 def median(values: Sequence[int]) -> int:
@@ -84,32 +115,34 @@ class OpenStream:
         except BaseException:
             dma.close()
             raise
-        self._slots = Slots(plane, self.id, dma, self.setup.length, self.writes)
+        self.slots: list[DmaBuffer] = []  # its memory; the index is the slot number in the plane's packets
+        self._given: list[int] = []  # the descriptors that clients get, for the slots that the plane has already
         self._awaiting_start: list[Callable[[Exception | None], None]] = []
-
-    @property
-    def slots(self) -> list[DmaBuffer]:
-        """Its memory; the index is the slot number in the plane's packets."""
-        return self._slots.made
 
     def take(self, step: Step) -> None:
         """Do what the machine says is next, and report it there. Raises DeviceError."""
+        made, given = self.slots, self._given
         if step.kind is StepKind.ALLOCATE:
-            self._slots.make_some(step.slots)
+            began = time.monotonic_ns()
+            for _ in range(min(AT_ONCE, step.slots - len(made))):
+                made.append(self._dma.allocate(self.setup.length))  # those made by then stay
+                if time.monotonic_ns() - began > _LONG:
+                    break
         elif step.kind is StepKind.GIVE:
-            self._slots.give_some(step.slots)
+            for slot in made[len(given) : step.slots][:AT_ONCE]:
+                given.append(for_writers(slot) if self.writes else for_readers(slot))
+                self._plane.add_slot(self.id, given[-1], slot.handle)
         elif step.kind is StepKind.FREE:
-            self._slots.free_some()
-        elif step.member is not None and not self._attach(step.member.client, step.member.depth):
-            self.machine.left(step.member.client)
-            return
-        self.machine.took(step, len(self.slots), self._slots.given)
+            for _ in range(min(AT_ONCE, len(made) - len(given))):
+                made.pop().close()
+        elif step.member is not None:
+            client, depth = step.member.client, step.member.depth
+            if not self._plane.attach(client, self.id, depth, encode_geometry(self._geometry(depth))):  # it has gone
+                self.machine.left(client)
+                return
+        self.machine.took(step, len(made), len(given))
         if step.kind is StepKind.START:
             self.started()
-
-    def _attach(self, client: int, depth: int) -> bool:
-        """Attach a client whose slots exist; return False if the client has gone."""
-        return self._plane.attach(client, self.id, depth, encode_geometry(self._geometry(depth)))
 
     def when_started(self, answer: Callable[[Exception | None], None]) -> None:
         """Call `answer` with None once the stream has started or been stopped, or with the error that prevents it."""
@@ -216,4 +249,8 @@ class OpenStream:
         try:
             self._dma.close()  # frees all slots at once; one by one would take as long as allocating them
         finally:
-            self._slots.close()
+            while self._given:
+                os.close(self._given.pop())
+            with suppress(DeviceGone):
+                for slot in self.slots:
+                    slot.close()

@@ -348,7 +348,7 @@ def test_clients_have_so_many_bytes_to_the_last(tmp_path: Path) -> None:
     with pytest.raises(QuotaExceeded, match=said):
         provisioner.store(named("b"), (File("one.bit", b"12"),), sender=ANNA)
     provisioner.store(named("b"), (File("one.bit", b"1"),), sender=ANNA)
-    provisioner.renew(replace(USUAL, provisioned_each_bytes=1))
+    provisioner.limits = replace(USUAL, provisioned_each_bytes=1)
     with pytest.raises(QuotaExceeded, match="yours"):
         provisioner.store(named("a"), (), sender=ANNA)
 

@@ -4,14 +4,15 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from cm.server.streams import data_socket
-from cm.server.streams.data_socket import WAITING, AwaitingOpen
+from cm.server.streams.data_socket import WAITING, DataSocket
 
 LISTENER = 7000  # its descriptor
 
@@ -19,7 +20,7 @@ LISTENER = 7000  # its descriptor
 class Bench:
     """A listener whose connections come when a test says so; a loop of which it takes the turns."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now = 10.0
         monkeypatch.setattr(data_socket, "time", SimpleNamespace(monotonic=self._time))
         self.takes = 0.0  # seconds for each connection
@@ -35,9 +36,14 @@ class Bench:
             add=self.watched.__setitem__, remove=self.watched.pop, pause=self.paused.add, resume=self.paused.remove,
             call_later=self._call_later,
         )  # fmt: skip
-        listener: Any = SimpleNamespace(accept=self._accept, fileno=lambda: LISTENER)
-        self.waiting = AwaitingOpen(loop, listener, self._whose, self._heard)
-        self.waiting.open()
+        listener: Any = SimpleNamespace(accept=self._accept, fileno=lambda: LISTENER, close=lambda: None)
+        rights: Any = SimpleNamespace(whose=self._whose)
+        self.socket = DataSocket(loop, folder, {}, rights, SimpleNamespace(run=list))  # type: ignore[arg-type]
+        self.socket.open()
+        self.watched[LISTENER] = self.watched.popitem()[1]
+        self.socket._listener.close()
+        monkeypatch.setattr(self.socket, "_listener", listener)
+        monkeypatch.setattr(self.socket, "_serve", self._serve)
 
     def _time(self) -> float:
         return self.now
@@ -67,9 +73,14 @@ class Bench:
             raise OSError
         return self.whose[connection]
 
-    def _heard(self, connection: socket.socket, packet: bytes) -> None:
+    def _serve(self, connection: socket.socket, packet: bytes) -> Generator[None, None, None]:
         self.heard.append((self.whose[connection], packet))
         connection.close()
+        yield
+
+    @property
+    def waiting(self) -> int:
+        return len(self.socket._waiting)
 
     def come(self, *who: str | Exception) -> list[socket.socket]:
         """The other ends of these connections."""
@@ -80,14 +91,15 @@ class Bench:
         return self.clients[before:]
 
     def close(self) -> None:
-        self.waiting.close()
+        if self.watched:
+            self.socket.close()
         for client in self.clients:
             client.close()
 
 
 @pytest.fixture
-def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
-    made = Bench(monkeypatch)
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+    made = Bench(tmp_path, monkeypatch)
     yield made
     made.close()
 
@@ -104,23 +116,22 @@ def test_so_many_come_in_at_once_and_the_next_after_three_times_as_long(bench: B
     bench.coming += ["a"] * 20
     bench.watched[LISTENER]()
     ((seconds, rested),) = bench.later
-    assert (len(bench.waiting), seconds, bench.paused) == (16, pytest.approx(0.048), {LISTENER})
+    assert (bench.waiting, seconds, bench.paused) == (16, pytest.approx(0.048), {LISTENER})
     rested()
     bench.watched[LISTENER]()
-    assert (len(bench.waiting), len(bench.later), bench.paused) == (20, 1, set())
+    assert (bench.waiting, len(bench.later), bench.paused) == (20, 1, set())
     bench.takes = 0.0
     bench.coming += [OSError(24, "no descriptors"), "b"]
     bench.watched[LISTENER]()
     assert (bench.coming, bench.later[1][0]) == (["b"], 0.002)  # it waits in the backlog
-    bench.waiting.close()
-    assert (bench.cancelled, bench.watched, len(bench.waiting)) == (1, {}, 0)
+    bench.socket.close()
+    assert (bench.cancelled, bench.watched, bench.waiting) == (1, {}, 0)
     assert all(map(ended, bench.clients))
-    bench.waiting.open()
 
 
 def test_what_has_gone_before_it_came_in_is_forgotten(bench: Bench) -> None:
     gone, there = bench.come("gone", ConnectionAbortedError(), "a")
-    assert (ended(gone), ended(there), len(bench.waiting)) == (True, False, 1)
+    assert (ended(gone), ended(there), bench.waiting) == (True, False, 1)
 
 
 def test_who_speaks_is_heard_once_and_who_hangs_up_is_not(bench: Bench) -> None:
@@ -131,7 +142,7 @@ def test_who_speaks_is_heard_once_and_who_hangs_up_is_not(bench: Bench) -> None:
     for fd in [fd for fd in bench.watched if fd != LISTENER]:
         bench.watched[fd]()
     assert bench.heard == [("a", b"open")]
-    assert (len(bench.waiting), ended(silent), set(bench.watched)) == (0, True, {LISTENER})
+    assert (bench.waiting, ended(silent), set(bench.watched)) == (0, True, {LISTENER})
 
 
 def test_the_process_with_most_makes_room_and_none_has_more_than_three_quarters(bench: Bench) -> None:
@@ -142,4 +153,4 @@ def test_the_process_with_most_makes_room_and_none_has_more_than_three_quarters(
     assert not any(map(ended, [*many[1:], *few]))
     bench.come("new")
     assert [number for number, one in enumerate(many[1:]) if ended(one)] == [0]
-    assert (len(bench.waiting), any(map(ended, few))) == (WAITING, False)
+    assert (bench.waiting, any(map(ended, few))) == (WAITING, False)

@@ -235,7 +235,7 @@ class Board:
         self.boot_id, self.busy, self.log = "one", False, list[str]()
         self.fails: dict[str, Exception] = {}
         self.slept = 0.0
-        monkeypatch.setattr(board_watch, "Sleep", lambda make=board_watch.Sleep: make(lambda: self.slept))
+        monkeypatch.setattr(board_watch, "_asleep", lambda: self.slept)
         streams = SimpleNamespace(close=lambda: self._do("no streams"))
         interrupts = SimpleNamespace(watch=lambda of: self._do(f"watch {of}"), close=lambda: self._do("no interrupts"))
         self.seen, self.state = Seen(), SimpleNamespace(overlays=[SimpleNamespace(name="camera")])

@@ -135,7 +135,7 @@ def test_all_bounds_are_of_what_there_may_be_at_most(clients: Clients) -> None:
     two.make(50_000 - 5)  # all may have half as much more as one
     assert [one.has_room(size) for size in (10, 15, 16)] == [True, False, False]
     assert [two.has_room(size) for size in (15, 16)] == [True, False]
-    clients.renew(replace(LIMITS, replies_bytes=200_000))
+    clients.limits = replace(LIMITS, replies_bytes=200_000)
     assert one.has_room(16)
 
 

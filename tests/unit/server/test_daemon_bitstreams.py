@@ -11,13 +11,13 @@ import pytest
 from bitstream_support import HERE, frames, small, two_sections
 
 from cm.formats import fdt
-from cm.formats.bitstream import Container, FrameAddress, FrameRun, assemble, convert
+from cm.formats.bitstream import Container, Expectation, FrameAddress, FrameRun, assemble, convert
 from cm.formats.bitstream.errors import BitstreamError, Sha256Mismatch
 from cm.manager.errors import BadOverlay
 from cm.manager.inputs import Image
 from cm.schema import loads
 from cm.schema.model import Overlay
-from cm.server.bitstream_and_overlay_files import BitstreamReader, BoardFiles, image_of
+from cm.server.bitstream_and_overlay_files import BitstreamReader, BoardFiles
 
 NOP, ZEROS, DUMMY = b"\x00\x00\x00\x20", bytes(4), b"\xff\xff\xff\xff"
 
@@ -30,7 +30,7 @@ def reader() -> BitstreamReader:
 def stored(reader: BitstreamReader, folder: Path, data: bytes) -> Image:
     path = folder / "image.bit"
     path.write_bytes(data)
-    return image_of(path, reader.inspect(path))
+    return reader.image(path, Expectation())
 
 
 @pytest.mark.parametrize("padding", [b"", NOP, ZEROS, DUMMY, NOP + ZEROS * 3 + DUMMY])
@@ -234,7 +234,7 @@ def test_of_images_whose_frames_are_compared_the_last_four_are_kept(package: Pac
     for number in range(5):
         path = package.own / f"{number}.bit"
         path.write_bytes(small(design=f"d{number}"))
-        images.append(image_of(path, BitstreamReader().inspect(path)))
+        images.append(BitstreamReader().image(path, Expectation()))
     held = [package.files.loaded_frames(image) for image in images[:4]]
     assert package.files.loaded_frames(images[0]) is held[0]  # now the last
     package.files.loaded_frames(images[4])

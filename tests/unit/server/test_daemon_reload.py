@@ -18,7 +18,7 @@ from manager_process import CAMERA, until
 from cm.errors import InvalidRequest
 from cm.schema import load_folder
 from cm.schema.model import Config
-from cm.server.reload import Reloaded
+from cm.server.options import Reloaded
 from cm.server.rights.model import Access
 from cm.server.settings.model import USUAL
 from cm.wire import plane_packets as packets

@@ -20,7 +20,8 @@ from cm.device import AxiDma, DeviceError
 from cm.device.data_plane import Plane
 from cm.server.devices import BoardDevices
 from cm.server.sockets import Loop
-from cm.server.streams.slots import AT_ONCE, Slots
+from cm.server.streams.machine import Step, StepKind
+from cm.server.streams.stream import AT_ONCE, OpenStream
 from cm.wire import plane_packets as packets
 from cm.wire.messages import requests as rq
 from cm.wire.messages.requests import ConfigureStream
@@ -42,7 +43,7 @@ class Allocator:
         self.opened = threading.Event()
         self.reached = threading.Event()
         self.fails_at = 1 << 20
-        wait, make, allocate, add = Loop._wait, Slots.make_some, AxiDma.allocate, Plane.add_slot
+        wait, take, allocate, add = Loop._wait, OpenStream.take, AxiDma.allocate, Plane.add_slot
         of: dict[AxiDma, int] = {}
 
         def turn(loop: Loop, milliseconds: int) -> None:
@@ -50,11 +51,14 @@ class Allocator:
             self._now = self._given_now = 0
             wait(loop, milliseconds)
 
-        def make_some(slots: Slots, wanted: int) -> None:
-            if len(slots.made) < self.at or self.opened.is_set():
-                make(slots, wanted if self.opened.is_set() else min(wanted, self.at))
+        def take_step(stream: OpenStream, step: Step) -> None:
+            if step.kind is not StepKind.ALLOCATE or self.opened.is_set():
+                take(stream, step)
+            elif len(stream.slots) < self.at:
+                take(stream, step._replace(slots=min(step.slots, self.at)))
             else:
                 self.reached.set()
+                stream.machine.took(step, stream.machine.made, stream.machine.given)
 
         def allocated(channel: AxiDma, length: int) -> Any:
             of[channel] = of.get(channel, 0) + 1
@@ -69,7 +73,7 @@ class Allocator:
             return add(plane, *arguments)
 
         patch.setattr(Loop, "_wait", turn)
-        patch.setattr(Slots, "make_some", make_some)
+        patch.setattr(OpenStream, "take", take_step)
         patch.setattr(AxiDma, "allocate", allocated)
         patch.setattr(Plane, "add_slot", added)
 

@@ -167,7 +167,7 @@ def test_a_user_with_many_processes_has_one_turn_if_there_are_other_users(bench:
 
 
 def test_of_a_client_that_asks_too_much_over_several_connections_each_request_is_answered(bench: Bench) -> None:
-    bench.clients.renew(replace(USUAL, waiting_bytes=2 * (1024 + len(STATUS[0]) + 1)))
+    bench.clients.limits = replace(USUAL, waiting_bytes=2 * (1024 + len(STATUS[0]) + 1))
     bench.ask(*STATUS)
     for number in range(4):
         bench.comes(ONE, b"%d" % number, *STATUS)
@@ -188,7 +188,7 @@ def test_who_does_not_read_is_refused_then_not_even_told_and_served_again_once_i
     monkeypatch.setattr(
         "cm.server.client_quotas.monotonic_ns", lambda: sum(c.requests for c in bench.clients) * 10**9 + next(looks)
     )
-    bench.clients.renew(replace(USUAL, replies_bytes=100_000))
+    bench.clients.limits = replace(USUAL, replies_bytes=100_000)
     client = bench.clients.of(ONE)
     bench.reply = Reply(Status("camera"), payload=(bytes(LITTLE),))
     told = []

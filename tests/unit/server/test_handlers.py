@@ -19,7 +19,7 @@ from cm.server import request_handlers as handlers
 from cm.server.client_quotas import Clients
 from cm.server.long_work import NOT_YET
 from cm.server.provision import Owned, Sender
-from cm.server.request_handlers import CHANGES_EACH, Services, carry_out, listed, name_check, sender_of
+from cm.server.request_handlers import CHANGES_EACH, Services, carry_out, list_configs, name_check, sender_of
 from cm.server.requests import BY_KIND
 from cm.server.rights.admission import Gate
 from cm.server.rights.model import Access, Grant, Role
@@ -433,7 +433,7 @@ def sent() -> Any:
 
 
 def test_all_configurations_are_listed_with_who_sent_them_and_how_much(sent: Any) -> None:
-    all_of_them = listed(sent)
+    all_of_them: Any = list_configs(sent).body
     assert all_of_them.names == ("a", "b", "c")
     assert [(entry.name, entry.origin, entry.owner, entry.bytes) for entry in all_of_them.entries] == [
         ("a", "client", "anna", 123),

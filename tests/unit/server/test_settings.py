@@ -75,7 +75,6 @@ load: camera/edge
 name: bench
 runtime_dir: /run/a
 state_dir: /srv/state
-firmware_dir: /srv/firmware
 assume_loaded: true
 log: info
 streams: {queue_mib: 1.5}
@@ -97,7 +96,7 @@ access:
 """)
     assert known == Settings(
         ("tcp://0.0.0.0:5560", "tcp://localhost"), Path("/etc/cm/server.key"), True, ("/srv/a", "/srv/b/*"),
-        "camera/edge", "bench", Path("/run/a"), Path("/srv/state"), Path("/srv/firmware"), True, "info",
+        "camera/edge", "bench", Path("/run/a"), Path("/srv/state"), True, "info",
         StreamSettings(1.5), DmaSettings(7), {"prr0": ScrubSettings(policy="tell")},
         RecordSettings("/srv/box", "5min", ("camera",), "hash"), ImportSettings(4),
         PolicySettings("warn", Path("/srv/signers"), "refuse"), LimitSettings(leases=5),

@@ -63,11 +63,8 @@ def test_the_direction_may_be_given_if_it_is_right() -> None:
         ({"shape": (0, 4)}, r"no frame has the shape \(0, 4\)"),
         ({"shape": (1,) * 9}, "1 to 8 extents"),
         ({"shape": (1 << 15, 1 << 15, 2)}, "more than 1 GiB"),
-        ({"dtype": "float77"}, "'float77' is not a numpy dtype such as 'uint8'"),
-        ({"dtype": "O"}, "'O' is not a numpy dtype"),
-        ({"dtype": ">u00000000000008"}, "is not a numpy dtype"),  # no packet has room for that name
-        ({"dtype": "u4,u4"}, "not a numpy dtype"),
-        ({"dtype": "datetime64[ns]"}, "not a numpy dtype"),
+        ({"dtype": "float77"}, "no dtype 'float77'; there are bool, int8, uint8, .*, complex128"),
+        ({"dtype": "<u2"}, "no dtype '<u2'"),  # frames are little-endian
         ({"stride": 639}, "lines of 640 bytes do not fit a stride of 639; give a stride of 640"),
         ({"shape": (640,), "stride": 640}, "has a stride, but no shape of lines and columns"),
         ({"stride": 1 << 23}, "480 lines with a stride of 8388608 take more than 2 GiB"),
@@ -100,11 +97,6 @@ def test_a_frame_without_a_shape_has_no_length() -> None:
     assert frame_bytes(replace(READ, shape=None)) == 0
     assert frame_bytes(replace(READ, shape=None, dtype="uint16")) == 0
     assert frame_bytes(replace(READ, shape=(3, 5), dtype="complex64")) == 120
-
-
-@pytest.mark.parametrize(("dtype", "length"), [("<u2", 2), (">f8", 8), ("c8", 8), ("B", 1), (">u0000000000008", 8)])
-def test_a_request_may_name_a_dtype_in_any_way_that_numpy_knows(dtype: str, length: int) -> None:
-    assert frame_bytes(replace(READ, shape=(3, 5), dtype=dtype)) == 15 * length
 
 
 # ---- channels ----------------------------------------------------------------------------------------

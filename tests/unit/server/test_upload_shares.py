@@ -227,7 +227,7 @@ def test_each_client_has_so_many_uploads(kept: Uploads, one: Client, clients: Cl
     kept.take(clients.of(f"ipc:1:0:{GONE + 1}"), Upload("more", 0))
     kept.take(one, Upload("0", discard=True))
     kept.take(one, Upload("more", 0))
-    kept.renew(replace(LIMITS, upload_bytes=8, uploads_bytes=9))
+    kept.limits = replace(LIMITS, upload_bytes=8, uploads_bytes=9)
     kept.take(one, Upload("1", 0, discard=True))
     with pytest.raises(TooMuchUploaded):
         kept.take(one, Upload("1", 9))
