@@ -202,7 +202,7 @@ def other_buses() -> tuple[Protocol, ...]:
         make_protocol("AHB", _marks("haddr htrans", _OUT)),
         make_protocol("Avalon-MM", [*_marks("address", _OUT), *_marks("waitrequest", _IN)]),
         make_protocol("Avalon-ST", _marks("startofpacket endofpacket", _OUT)),
-        _with_spellings(handshake, spelled),
+        replace(_with_spellings(handshake, spelled), distinct=True),
     )
 
 

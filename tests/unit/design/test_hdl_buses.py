@@ -162,6 +162,7 @@ NAMED = {
     "s_psel_i s_penable_i": "APB",
     "cmd_valid_i cmd_ready_o": "a handshake",
     "req_val_i req_accept_o": "a handshake",
+    "valid_cam_i ready_cam_o": "a handshake",
     "rx_src_rdy_i rx_dst_rdy_o": "a handshake",
     "x_valid_i x_data_i": "a stream without ready: streams: [x]",
     "axi_m_wvalid_o axi_m_wready_i axi_m_wdata_o": "AXI bus axi_m",
