@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import asyncio
-import re
 from contextlib import suppress
 from functools import cache
 from typing import Any
@@ -50,10 +49,8 @@ class _Clocks:
     """``Clocks.fclk0_mhz`` and so on, in MHz. Setting one raises NotImplementedError."""
 
     def __getattr__(self, name: str) -> float:
-        found = re.fullmatch(r"(?:fclk|pl)(\d)_mhz", name)
-        names = (f"fclk{found[1]}", f"pl{found[1]}") if found else ()
-        for clock in board().status.clocks if names else ():
-            if clock.name in names:
+        for clock in board().status.clocks if name.endswith("_mhz") else ():
+            if name in (f"{clock.name}_mhz", f"{clock.name}_mhz".replace("pl", "fclk")):  # as PYNQ's on any device
                 return (clock.rate or clock.wanted) / 1e6
         raise AttributeError(f"the loaded configuration has no {name!r}, of fclk0_mhz to fclk3_mhz")
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import asyncio
 from functools import partialmethod
-from typing import ClassVar
 
 from cm.pynq.board import Interrupt
 from cm.pynq.overlay import DefaultIP, Description
@@ -108,9 +107,7 @@ class AxiGPIO(DefaultIP):
     """An AXI GPIO with `channel1` and `channel2`; an index takes wires of the first."""
 
     bindto = ("xilinx.com:ip:axi_gpio:2.0",)
-    Input: ClassVar[str] = _IN
-    Output: ClassVar[str] = _OUT
-    InOut: ClassVar[str] = _BOTH
+    Input, Output, InOut = _IN, _OUT, _BOTH
 
     def __init__(self, description: Description) -> None:
         super().__init__(description)
