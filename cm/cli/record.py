@@ -96,11 +96,11 @@ def run(args: argparse.Namespace) -> int:
     """Record until interrupted; the exit status."""
     if args.settings is not None and not _take_settings(args):
         return 0
+    recorder_module()
     limits, wanted = limits_of(args.split, args.ring), wanted_of(args.streams, args.frames)
     place = args.file
     if place is not None and limits.is_ring and place.suffix == ".mcap":
         raise InvalidRequest(f"--ring keeps several files: name a folder, such as {place.with_suffix('')}")
-    recorder_module()
     from cm.client.board import connect
     from cm.recording.recorder import Recorder
 
@@ -199,6 +199,8 @@ def plot(args: argparse.Namespace) -> int:
     from cm.recording.reader import Record
 
     record = Record(args.file)
+    if any(args.out.exists() and args.out.samefile(file) for file in record.files):
+        raise InvalidRequest(f"{args.out} is a file of the record: name another for the drawing")
     write_whole(args.out, svg(drawn(record)).encode())
     told = {"file": str(args.out), "problems": record.problems}
     return answer(args, told, "\n".join([*record.problems, f"wrote {args.out}"]))

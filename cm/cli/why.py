@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     from cm.recording.why import explain
 
     subject, file = args.subject, args.file
-    if file is None and (subject.endswith(".mcap") or "/" in subject):  # no name of a part has these
+    if file is None and (subject.endswith(".mcap") or "/" in subject or any(Path(subject or "-").glob("*.mcap"))):
         subject, file = "", Path(subject)
     if args.at is not None and file is None:
         raise InvalidRequest("--at TIME is a time of a record: name its file")

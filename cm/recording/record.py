@@ -4,13 +4,15 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import os
 import threading
 import time
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from pathlib import Path
 
-from cm.errors import InvalidRequest, sentence
+from cm.errors import InvalidRequest
 from cm.frozen import dataclass, replace
 from cm.recording.file import Channel, Channels, Data, RecordFile, Schema
 from cm.recording.layout import DATA, FRAME, GAP, SCHEMAS, Opened, file_name, files_of, is_folder
@@ -88,17 +90,32 @@ class Record:
         self._file: RecordFile | None = None
         self._lost: tuple[str, int, int, int] | None = None  # cause, since when, messages, bytes
         self._again = self._end = 0.0
-        before = self._earlier()
-        self._number = before[0]
-        self._open()
+        self._held = -1  # a descriptor of the folder, locked
+        try:
+            before = self._earlier()
+            self._number = before[0]
+            self._open()
+        except (OSError, InvalidRequest) as error:
+            self._leave()
+            if not isinstance(error, FileExistsError):
+                raise
+            raise InvalidRequest(f"{error.filename} is there already: name another file, or remove it") from None
         if before[1]:
             self.tell(Gap("", before[1], now(), cause="recorder_ended", text="no recorder ran"))
 
     def _earlier(self) -> tuple[int, int]:
         """The number of the last file of this record, and when it ended (ns): a ring goes on."""
         if not is_folder(self._place):
+            with suppress(InvalidRequest):  # there is no record
+                there = files_of(self._place)[0]  # one that follows it would be in the way, and be read as part of it
+                raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(there))
             return 0, 0
         self._place.mkdir(parents=True, exist_ok=True)
+        self._held = os.open(self._place, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            fcntl.flock(self._held, fcntl.LOCK_EX | fcntl.LOCK_NB)  # two would take each other's names and files
+        except BlockingIOError:
+            raise InvalidRequest(f"another recorder writes into {self._place}: name another folder") from None
         found = [path for path in self._place.glob("*.mcap") if path.stem.isdecimal()]
         last = max(found, key=lambda path: int(path.stem), default=None)
         if last is not None and not self._limits.is_ring:
@@ -139,7 +156,10 @@ class Record:
         elif (limits.file_bytes and file.length >= limits.file_bytes) or (self._end and time.monotonic() > self._end):
             self._close(file)
             if self._file is not None:
-                self._open()
+                try:
+                    self._open()
+                except OSError as error:
+                    self._give_up(file, error, closed=True)
 
     def tick(self) -> None:
         """Once a second: what waits is written, a file that is old ends, a disk that was full is tried again."""
@@ -163,6 +183,12 @@ class Record:
             self._file = None
             if self._lost is not None:
                 self.missing = self._lost[2]
+            self._leave()
+
+    def _leave(self) -> None:
+        if self._held >= 0:
+            os.close(self._held)
+            self._held = -1
 
     # ---- files ---------------------------------------------------------------------------
 
@@ -170,10 +196,7 @@ class Record:
         """The next file, with the state of now. Raises OSError."""
         self._number += 1
         path = file_name(self._place, self._number)
-        try:
-            self._file = RecordFile(path, replace(self._opened, number=self._number), self._profile)
-        except FileExistsError:
-            raise InvalidRequest(f"{path} is there already: name another file, or remove it") from None
+        self._file = RecordFile(path, replace(self._opened, number=self._number), self._profile)
         self._end = time.monotonic() + self._limits.file_seconds if self._limits.file_seconds else 0.0
         for channel, data in self._state(self):
             self._file.log(channel, data, self._now())
@@ -190,10 +213,11 @@ class Record:
             file.close()
         self._file = None
         cause = "disk_full" if problem.errno in _FULL else "disk_error"
-        self._lost = (cause, file.waiting_since or self._now(), 0, 0)
+        self._lost = (cause, file.waiting_since if file.waiting else self._now(), 0, 0)
         self._miss(file.waiting_since, file.waiting, file.waiting_bytes)
         self._again = time.monotonic() + (0 if cause == "disk_full" else _AGAIN)
-        self._told(f"{file.path}: {sentence(problem)}; what comes is counted until there is room again")
+        where = problem.filename or file.path
+        self._told(f"{where}: {problem.strerror}; what comes is counted until there is room again")
         if self._limits.is_ring and self._remove_oldest(file.path):
             self._try_again()
 
@@ -202,7 +226,10 @@ class Record:
         self._lost = (cause, since, before + messages, bytes_before + length)
 
     def _has_room(self) -> bool:
-        found = os.statvfs(self._place if is_folder(self._place) else self._place.parent)
+        try:
+            found = os.statvfs(self._place if is_folder(self._place) else self._place.parent)
+        except OSError:  # the folder is gone
+            return False
         return found.f_bavail * found.f_frsize >= _ROOM
 
     def _try_again(self) -> None:

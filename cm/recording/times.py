@@ -6,13 +6,13 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from itertools import takewhile
 
 from cm.errors import InvalidRequest
 from cm.recording.layout import Opened
 from cm.recording.reader import Event
 
 _FORMS = ("%H:%M:%S", "%H:%M", "%Y-%m-%d %H:%M:%S", "%Y-%m-%dT%H:%M:%S")
+_STATE = 50_000_000  # nanoseconds in which a recorder writes the state that a record begins with
 
 
 def time_in(text: str, opened: Opened) -> int:
@@ -37,6 +37,16 @@ def time_in(text: str, opened: Opened) -> int:
 
 
 def until(events: Iterable[Event], opened: Opened, text: str) -> Iterator[Event]:
-    """The events up to a time. Raises InvalidRequest."""
-    end = time_in(text, opened)
-    return takewhile(lambda event: event.time_ns <= end, events)
+    """The events up to a time. Raises InvalidRequest, also for a time of which nothing is recorded yet."""
+    end, began = time_in(text, opened), 0
+    for event in events:
+        if not began:
+            began = event.time_ns
+            if end < began - 10**9:  # a ring may have lost what it began with
+                after = (began - opened.started_ns) / 1e9
+                at = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(began / 1e9))
+                raise InvalidRequest(f"{text!r} is before the record, which begins at {at} (+{after:.1f})")
+            end = max(end, began + _STATE)
+        if event.time_ns > end:
+            return
+        yield event

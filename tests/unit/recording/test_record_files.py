@@ -311,6 +311,29 @@ def test_no_record_is_written_over(tmp_path: Path) -> None:
     recorded(tmp_path / "folder", Limits(split_seconds=1)).close()
     with pytest.raises(InvalidRequest, match="has a record already"):
         recorded(tmp_path / "folder", Limits(split_seconds=1))
+    (tmp_path / "b-000002.mcap").touch()
+    with pytest.raises(InvalidRequest, match=r"b-000002\.mcap is there already"):
+        recorded(tmp_path / "b.mcap")
+    ring = recorded(tmp_path / "ring", Limits(ring_seconds=60))
+    with pytest.raises(InvalidRequest, match="another recorder writes into"):
+        recorded(tmp_path / "ring", Limits(ring_seconds=60))
+    ring.close()
+    whole = written(tmp_path / "c.mcap")
+    assert main(["record", "plot", str(tmp_path / "c.mcap"), str(tmp_path / "c.mcap")]) == 1
+    assert (tmp_path / "c.mcap").read_bytes() == whole
+
+
+def test_a_next_file_that_cannot_be_made_is_a_gap(tmp_path: Path) -> None:
+    told: list[str] = []
+    record = recorded(tmp_path / "a.mcap", Limits(split_bytes=1), told.append)
+    (tmp_path / "a-000002.mcap").mkdir()
+    for number in (1, 2):
+        record.log(record.channel(IRQ), irq(number), number)
+        record.tick()
+    assert f"{tmp_path / 'a-000002.mcap'}: File exists" in told[0]
+    record.close()
+    assert (counts(tmp_path / "a.mcap"), record.missing) == ([1], 0)
+    assert [(gap.cause, gap.messages) for gap in gaps(tmp_path / "a-000003.mcap")] == [("disk_error", 1)]
 
 
 def test_a_message_that_the_library_refuses_spoils_nothing(tmp_path: Path) -> None:
@@ -334,6 +357,16 @@ def test_the_command_says_what_is_lost(tmp_path: Path, capsys: pytest.CaptureFix
     assert len(told["lost"]) == 1
     assert main(["record", "repair", str(tmp_path / "cut.mcap")]) == 1
     assert "is there already" in capsys.readouterr().err
+
+
+def test_what_to_install_is_said_where_the_library_is_missing(tmp_path: Path) -> None:
+    code = "import sys; sys.modules['mcap'] = None; from cm.cli.main import main; sys.exit(main())"
+    for words in ("a.mcap", "a --ring 5min"):
+        command = [sys.executable, "-c", code, "record", *words.split()]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
+        assert (done.returncode, done.stdout) == (1, ""), done.stderr
+        assert len(done.stderr.splitlines()) == 1
+        assert "pip install" in done.stderr
 
 
 def test_the_doctor_finds_nothing_wrong(tmp_path: Path) -> None:

@@ -152,4 +152,6 @@ def test_times_are_of_the_day_or_since_the_beginning() -> None:
             time_in(text, OPENED)
     events = [Event(BEGAN + n * S, "cm_irq", None) for n in range(5)]
     assert len(list(until(events, OPENED, "+2"))) == 3
+    with pytest.raises(InvalidRequest, match=r"'\+2' is before the record, which begins at .* \(\+4.0\)"):
+        list(until(events[4:], OPENED, "+2"))
     assert OFFSET < BEGAN
