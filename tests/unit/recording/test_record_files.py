@@ -7,6 +7,7 @@ import errno
 import json
 import os
 import random
+import resource
 import shutil
 import signal
 import subprocess
@@ -357,6 +358,20 @@ def test_the_command_says_what_is_lost(tmp_path: Path, capsys: pytest.CaptureFix
     assert len(told["lost"]) == 1
     assert main(["record", "repair", str(tmp_path / "cut.mcap")]) == 1
     assert "is there already" in capsys.readouterr().err
+
+
+def test_a_disk_that_is_too_full_for_a_repair_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    written(tmp_path / "a.mcap")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (5000, hard))
+    try:
+        assert main(["record", "repair", str(tmp_path / "a.mcap"), str(tmp_path / "b.mcap")]) == 1
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        signal.signal(signal.SIGXFSZ, before)
+    assert f"{tmp_path / 'b.mcap'}: File too large" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap"]
 
 
 def test_what_to_install_is_said_where_the_library_is_missing(tmp_path: Path) -> None:
