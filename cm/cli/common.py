@@ -183,7 +183,8 @@ def write_whole(path: Path, data: bytes) -> None:
         error.filename, error.filename2 = str(path), None
         raise
     finally:
-        aside.unlink(missing_ok=True)
+        with suppress(OSError):
+            aside.unlink()
 
 
 def binary_output() -> IO[bytes]:

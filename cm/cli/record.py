@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import signal
 import sys
 import time
@@ -13,9 +14,10 @@ from typing import TYPE_CHECKING
 from cm.cli.common import add_connection_options, add_json_option, answer, naming, write_whole
 from cm.errors import InvalidRequest, NotInstalled
 from cm.extras import installing
+from cm.manager.errors import hint
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from cm.client.board import Board
     from cm.recording.record import Limits
@@ -107,10 +109,10 @@ def run(args: argparse.Namespace) -> int:
     def connected(guest: str = "") -> Board:
         return connect(args.connect, runtime_dir=args.runtime_dir, keys=args.keys, guest=guest)
 
-    if place is None:
-        with connected() as board:
-            name = f"{board.status.board}-{time.strftime('%Y%m%d-%H%M%S')}"
-        place = Path(name if limits.is_ring or args.ros2 else f"{name}.mcap")
+    with connected() as board:
+        _tell_unknown(board, wanted.streams)
+        name = f"{board.status.board}-{time.strftime('%Y%m%d-%H%M%S')}"
+    place = place or Path(name if limits.is_ring or args.ros2 else f"{name}.mcap")
     if args.ros2:
         return _as_ros(connected, place, limits, wanted)
     recorder = Recorder(connected, place, limits, wanted, _tell)
@@ -121,6 +123,18 @@ def run(args: argparse.Namespace) -> int:
     if missing:
         _tell(f"{missing} messages are in no file, since the disk took no more")
     return 1 if missing else 0
+
+
+def _tell_unknown(board: Board, streams: Sequence[str]) -> None:
+    """Name the streams that none of the configurations has: of those nothing is recorded, as it stands."""
+    from cm.recording.recorder import ALL
+
+    infos = [board.config(name) for name in board.configs] if set(streams) - {ALL} else []
+    known = [stream for info in infos for stream in info.streams]
+    there = {stream.name for stream in known if stream.direction == "s2mm"}
+    words = re.findall(r"[\w.-]+", " ".join(info.schema for info in infos))  # modes may have streams of their own
+    for name in sorted(set(streams) - {ALL} - there - ({*words} - {stream.name for stream in known})):
+        _tell(f"no configuration has a stream {name!r} from the hardware{hint(name, there)}")
 
 
 def _take_settings(args: argparse.Namespace) -> bool:

@@ -53,17 +53,30 @@ class DeviceArray(np.ndarray[Any, np.dtype[Any]]):
         if self._memory is not None:
             self._memory.hand_over(to_device)
 
+    @property
+    def hold(self) -> object:
+        """Whoever has this keeps the memory from being freed; None if it is free, or ordinary memory."""
+        return self._memory and next(iter(self._memory.holds), None)
+
     def free(self) -> None:
-        """Free the memory now, even if arrays in it are left: the device must not use it any more. Twice is fine."""
+        """Free the memory, even if arrays in it are left: the device must not use it any more. Twice is fine.
+
+        A transfer that is under way ends first.
+        """
         if self._memory is not None:
             self._memory.free()
+
+
+class _Hold:
+    """Memory is freed with the last reference to this: of its owner, and of each transfer."""
 
 
 class _Memory:
     """A connection to the data socket that holds memory, and the memory's address."""
 
     def __init__(self, connection: DataConnection, mappings: SlotMappings, length: int) -> None:
-        self._connection = connection
+        self.holds = [_Hold()]  # the owner's, until it frees the memory
+        weakref.finalize(self.holds[0], connection.close).atexit = False  # type: ignore[misc]
         self._mappings = mappings
         self.length = length
         self.address = connection.address
@@ -80,7 +93,7 @@ class _Memory:
 
     def free(self) -> None:
         self.to_device()
-        self._connection.close()
+        self.holds.clear()
 
 
 def nbytes(shape: int | Sequence[int], dtype: Any) -> int:
@@ -160,7 +173,7 @@ def _array(
 ) -> DeviceArray:
     mapping = mappings.take(0)
     memory = _Memory(connection, mappings, length)
-    last = weakref.finalize(mapping, connection.close)  # every array in it refers to the mapping
+    last = weakref.finalize(mapping, memory.holds.clear)  # every array in it refers to the mapping
     last.atexit = False  # type: ignore[misc]
     array = DeviceArray(shape, dtype, mapping)
     memory.begin = array.__array_interface__["data"][0]

@@ -47,8 +47,8 @@ class Writer:
         self._next = 0
         self.moved = 0  # bytes of the frame that was done last
         self._under_way: dict[
-            int, tuple[int, DeviceArray | None]
-        ] = {}  # by sequence: bytes, and whose, if they are ours
+            int, tuple[int, DeviceArray | None, object]
+        ] = {}  # by sequence: bytes, and whose, if they are ours, and what keeps its memory
         self._failed: list[tuple[Descriptor, int]] = []  # with the bytes that were asked for
 
     def open(self) -> None:
@@ -216,7 +216,7 @@ class Writer:
             self._connection.granted.append(grant)
 
     def _submit(self, grant: Descriptor, length: int) -> None:
-        self._under_way[self._next] = length, None
+        self._under_way[self._next] = length, None, None
         self._connection.submit(grant, 0, length, self._next)
         self._next += 1
 
@@ -250,7 +250,7 @@ class Writer:
             done = connection.done.popleft()
             if done.kind != packets.DONE:
                 continue
-            asked, array = self._under_way.pop(done.sequence, (done.length, None))
+            asked, array, _ = self._under_way.pop(done.sequence, (done.length, None, None))
             if array is not None and self.geometry is not None and not self.geometry.writable:
                 array.hand_over(to_device=False)
             self.moved = done.length
@@ -323,7 +323,7 @@ class Transfers(Writer):
             )
         address = array.device_address + start
         array.hand_over(to_device=True)
-        self._under_way[self._next] = length, array
+        self._under_way[self._next] = length, array, array.hold
         self._connection.submit(grant._replace(timestamp_ns=address), 0, length, self._next)
         self._next += 1
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -35,8 +36,13 @@ def repair(source: Path, target: Path) -> Repaired:
         with beside.open("wb") as stream:
             found = _Copy(source, stream).run()
         beside.rename(target)
+    except OSError as error:
+        if error.filename == str(beside):  # nobody has named that one
+            error.filename, error.filename2 = str(target), None
+        raise
     finally:
-        beside.unlink(missing_ok=True)
+        with suppress(OSError):
+            beside.unlink()
     return found
 
 

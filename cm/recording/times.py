@@ -12,6 +12,7 @@ from cm.recording.layout import Opened
 from cm.recording.reader import Event
 
 _FORMS = ("%H:%M:%S", "%H:%M", "%Y-%m-%d %H:%M:%S", "%Y-%m-%dT%H:%M:%S")
+_CLOCK = 10**9  # nanoseconds between two clocks: for how long at most nothing is told
 _STATE = 50_000_000  # nanoseconds in which a recorder writes the state that a record begins with
 
 
@@ -37,16 +38,22 @@ def time_in(text: str, opened: Opened) -> int:
 
 
 def until(events: Iterable[Event], opened: Opened, text: str) -> Iterator[Event]:
-    """The events up to a time. Raises InvalidRequest, also for a time of which nothing is recorded yet."""
-    end, began = time_in(text, opened), 0
+    """The events up to a time. Raises InvalidRequest, also for a time of which nothing is recorded, in the end too."""
+    end, began, last = time_in(text, opened), 0, 0
     for event in events:
+        last = event.time_ns
         if not began:
-            began = event.time_ns
-            if end < began - 10**9:  # a ring may have lost what it began with
-                after = (began - opened.started_ns) / 1e9
-                at = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(began / 1e9))
-                raise InvalidRequest(f"{text!r} is before the record, which begins at {at} (+{after:.1f})")
+            began = last
+            if end < began - _CLOCK:  # a ring may have lost what it began with
+                raise InvalidRequest(f"{text!r} is before the record, which begins at {_told(began, opened)}")
             end = max(end, began + _STATE)
-        if event.time_ns > end:
+        if last > end:
             return
         yield event
+    if end > last + _CLOCK:
+        raise InvalidRequest(f"{text!r} is after the record, which ends at {_told(last, opened)}")
+
+
+def _told(time_ns: int, opened: Opened) -> str:
+    at = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(time_ns / 1e9))
+    return f"{at} (+{(time_ns - opened.started_ns) / 1e9:.1f})"

@@ -35,13 +35,13 @@ def manager() -> Iterator[Manager]:
 
 
 @contextlib.contextmanager
-def recording(manager: Manager, *arguments: object) -> Iterator[subprocess.Popen[str]]:
+def recording(manager: Manager, *arguments: object, said: str = "into ") -> Iterator[subprocess.Popen[str]]:
     """``cm record`` at work; ended by SIGTERM."""
     words = child.command("cm.cli.main", "record", *map(str, arguments), "--runtime-dir", str(manager.runtime))
     with subprocess.Popen(words, env=environment(), stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         try:
-            assert process.stderr.readline().startswith("cm record: ")
+            assert process.stderr.readline().startswith(f"cm record: {said}")
             with manager.connected() as board:  # it listens when it is a client
                 until(lambda: any(f"pid {process.pid} " in client.name for client in board.clients()))
             yield process
@@ -132,6 +132,15 @@ def test_frames_are_pictures_and_each_is_told(manager: Manager, tmp_path: Path) 
     assert both
     for picture, frame in both:
         assert hashlib.sha256(picture.data).digest() == digests[frame.sequence]
+
+
+@pytest.mark.parametrize("name", ["from_lp", "to_pl"], ids=["mistyped", "towards the hardware"])
+def test_a_stream_that_cannot_be_recorded_in_any_configuration_is_told(
+    manager: Manager, tmp_path: Path, name: str
+) -> None:
+    said = f"no configuration has a stream '{name}' from the hardware; did you mean 'from_pl'?\n"
+    with recording(manager, tmp_path / "a.mcap", "--streams", "camera", name, said=said):
+        pass
 
 
 def test_a_manager_that_is_gone_for_a_while_is_a_gap(manager: Manager, tmp_path: Path) -> None:

@@ -76,3 +76,13 @@ def test_the_command_writes_the_picture_and_says_what_is_damaged(
     assert main(["record", "plot", str(record), str(out)]) == 0
     assert ElementTree.parse(out).getroot().tag == f"{SVG}svg"
     assert "a.mcap: it " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("action", ["plot", "repair"])
+@pytest.mark.parametrize(("folder", "why"), [("none", "No such file or directory"), ("a.mcap", "Not a directory")])
+def test_a_place_that_cannot_be_written_is_named_as_it_was_given(
+    record: Path, capsys: pytest.CaptureFixture[str], action: str, folder: str, why: str
+) -> None:
+    out = record.parent / folder / "b.svg"
+    assert main(["record", action, str(record), str(out)]) == 1
+    assert capsys.readouterr().err == f"cm: {out}: {why}\n"

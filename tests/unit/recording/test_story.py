@@ -154,4 +154,7 @@ def test_times_are_of_the_day_or_since_the_beginning() -> None:
     assert len(list(until(events, OPENED, "+2"))) == 3
     with pytest.raises(InvalidRequest, match=r"'\+2' is before the record, which begins at .* \(\+4.0\)"):
         list(until(events[4:], OPENED, "+2"))
+    assert len(list(until(events, OPENED, "+4.9"))) == 5  # a clock is told each second
+    with pytest.raises(InvalidRequest, match=r"'\+5.1' is after the record, which ends at .* \(\+4.0\)"):
+        list(until(events, OPENED, "+5.1"))
     assert OFFSET < BEGAN
