@@ -48,7 +48,7 @@ COMMANDS = (
         "board",
         linux=True,
     ),
-    Command("why", "cm.cli.why", "explain the board's state, or that in a record", "board"),
+    Command("why", "cm.cli.why", "explain a board's state, now or in a record", "board"),
     Command("reg", "cm.cli.reg", "list, read, write and watch registers", "data"),
     Command("mem", "cm.cli.mem", "list, read and write memories", "data"),
     Command("irq", "cm.cli.irq", "list interrupts and wait for them", "data"),
