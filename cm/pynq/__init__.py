@@ -6,24 +6,25 @@ Nothing else imports it. What PYNQ has and this does not raises ImportError with
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 from cm.pynq import lib as lib
 from cm.pynq.alias import absent, install
 from cm.pynq.board import Clocks as Clocks
 from cm.pynq.board import Interrupt as Interrupt
-from cm.pynq.buffer import PynqBuffer as PynqBuffer
-from cm.pynq.buffer import Xlnk as Xlnk
-from cm.pynq.buffer import allocate as allocate
+from cm.pynq.board import PynqBuffer as PynqBuffer
+from cm.pynq.board import Xlnk as Xlnk
+from cm.pynq.board import allocate as allocate
 from cm.pynq.mmio import MMIO as MMIO
+from cm.pynq.mmio import Register as Register
+from cm.pynq.mmio import RegisterMap as RegisterMap
 from cm.pynq.overlay import PL as PL
 from cm.pynq.overlay import DefaultHierarchy as DefaultHierarchy
 from cm.pynq.overlay import DefaultIP as DefaultIP
 from cm.pynq.overlay import Overlay as Overlay
-from cm.pynq.registers import Register as Register
-from cm.pynq.registers import RegisterMap as RegisterMap
 
-__getattr__ = absent("pynq")
+__getattr__ = partial(absent, "pynq")
 
 
 def load_ipython_extension(_: Any) -> None:

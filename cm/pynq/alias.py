@@ -4,14 +4,13 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from importlib import import_module
 from importlib.abc import MetaPathFinder
 from importlib.machinery import PathFinder
 from typing import NoReturn
 
-_MODULES = ("", "board", "buffer", "lib", "lib.axigpio", "lib.dma", "mmio", "overlay", "registers")
-_AS = {"board": ["interrupt", "ps"], "buffer": ["buffer", "xlnk"], "overlay": ["overlay", "pl"]}  # modules of PYNQ's
+_MODULES = ("", "lib", "lib.axigpio", "lib.dma", "mmio", "overlay")
+_IN = {"buffer": "board", "interrupt": "board", "pl": "overlay", "ps": "board", "registers": "mmio", "xlnk": "board"}
 _ELSEWHERE = {
     "pynq.GPIO": "the processor's own GPIO is the kernel's (libgpiod); decouplers on it are the manager's",
     "pynq.Device": "a program has one board, that of $CM_CONNECT or of this machine",
@@ -19,22 +18,15 @@ _ELSEWHERE = {
 }
 
 
-def absent(module: str) -> Callable[[str], NoReturn]:
-    """The ``__getattr__`` of a module: its classes that are not here raise ImportError with a sentence."""
-
-    def find(name: str) -> NoReturn:
-        if not name[:1].isupper():  # submodules are looked for by import
-            raise AttributeError(f"module {module!r} has no attribute {name!r}")
-        raise ImportError(_sentence(f"{module}.{name}"))
-
-    return find
+def absent(module: str, name: str) -> NoReturn:
+    """Say that a class is not here: raises ImportError with a sentence, AttributeError for what is no class."""
+    if not name[:1].isupper():  # submodules are looked for by import
+        raise AttributeError(f"module {module!r} has no attribute {name!r}")
+    raise ImportError(_sentence(f"{module}.{name}"))
 
 
 def _sentence(name: str) -> str:
-    usual = (
-        "cm.pynq has overlays, registers, buffers, DMA, AXI GPIO and interrupts, and neither video, audio, boards' "
-        "peripherals nor MicroBlaze (docs/pynq.md)"
-    )
+    usual = "cm.pynq has overlays, registers, buffers, interrupts, DMA and AXI GPIO, and no other driver (docs/pynq.md)"
     return f"{name} is not here: {_ELSEWHERE.get(name, usual)}"
 
 
@@ -56,7 +48,6 @@ def install() -> None:
             f"PYNQ itself is installed here ({theirs.origin}), and is not shadowed: without cm.pynq the program runs "
             "on it; `import cm.pynq as pynq` in the program takes ours"
         )
-    for name in _MODULES:
-        for theirs_name in _AS.get(name, [name]):
-            sys.modules[f"pynq.{theirs_name}".rstrip(".")] = import_module(f"cm.pynq.{name}".rstrip("."))
+    for name in (*_MODULES, *_IN):
+        sys.modules[f"pynq.{name}".rstrip(".")] = import_module(f"cm.pynq.{_IN.get(name, name)}".rstrip("."))
     sys.meta_path.insert(0, _Missing())

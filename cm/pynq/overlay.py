@@ -4,17 +4,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, ClassVar
 
 from cm.errors import NotFound
-from cm.formats.hwh import read
-from cm.formats.importers import described_by, to_name
-from cm.pynq.blocks import Description as Description
-from cm.pynq.blocks import blocks, hierarchies
+from cm.formats import hwh as handoff
+from cm.formats.importers import channel_names, described_by, to_name
+from cm.formats.registers import RegisterInfo
 from cm.pynq.board import Interrupt, board, places
-from cm.pynq.mmio import MMIO
-from cm.pynq.registers import Named, RegisterMap
+from cm.pynq.mmio import MMIO, Named, RegisterMap
+
+Description = Mapping[str, Any]
 
 
 class DefaultIP:
@@ -105,8 +106,8 @@ class Overlay(DefaultHierarchy):
         if not bit.is_file():
             raise FileNotFoundError(f"Bitstream file {bitfile_name} does not exist. Name the one that was imported.")
         self.bitfile_name, self._name = str(bit), to_name(bit.stem)
-        self.ip_dict = blocks(read(described_by(bit)))
-        self.hierarchy_dict = hierarchies(self.ip_dict)
+        self.ip_dict = _blocks(handoff.read(described_by(bit)))
+        self.hierarchy_dict = _hierarchies(self.ip_dict)
         super().__init__(self.hierarchy_dict.pop(""))
         if download:
             self.download(dtbo)
@@ -153,3 +154,56 @@ def _check_dtbo(bit: Path, dtbo: str | None) -> None:
         raise NotImplementedError(
             f"dtbo={dtbo!r}: the manager applies the configuration's overlays; import takes {bit.stem}.dtbo"
         )
+
+
+def _blocks(hwh: handoff.Hwh) -> dict[str, dict[str, Any]]:
+    """`ip_dict`: what the processor reaches, by path. Beside PYNQ's keys, `channels`: the streams of a DMA."""
+    found: dict[str, dict[str, Any]] = {}
+    channels, lines = channel_names(hwh), handoff.interrupts(hwh)
+    for window in (*handoff.windows(hwh), *handoff.memories(hwh)):
+        module = hwh.modules.get(window.instance)
+        if module is None or (path := module.path.strip("/")) in found:
+            continue
+        found[path] = {
+            "type": module.vlnv,
+            "phys_addr": window.base,
+            "addr_range": window.size,
+            "fullpath": path,
+            "mem_id": window.interface,
+            "parameters": dict(module.parameters),
+            "registers": {info.name: _register(info) for info in handoff.registers(module, window.interface)},
+            "interrupts": {
+                pin.port: {"controller": pin.controller or "", "index": pin.index, "fullpath": f"{path}/{pin.port}"}
+                for pin in lines
+                if pin.instance == window.instance
+            },
+            "channels": {one.direction: name for one, name in channels.items() if one.instance == window.instance},
+        }
+    return found
+
+
+def _register(info: RegisterInfo) -> dict[str, Any]:
+    access = info.access or "read-write"
+    fields = {
+        one.name: {
+            "bit_offset": one.lsb,
+            "bit_width": one.width,
+            "access": one.access or access,
+            "description": one.doc,
+        }
+        for one in info.fields
+    }
+    known = {"address_offset": info.offset, "size": info.size, "access": access, "description": info.doc}
+    return {**known, "fields": fields}
+
+
+def _hierarchies(found: Mapping[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """`hierarchy_dict`: by path, each with the blocks and the hierarchies right in it by name; the design is ``""``."""
+    made: dict[str, dict[str, Any]] = {"": {"ip": {}, "hierarchies": {}}}
+    for path, block in found.items():
+        there, (*above, name) = made[""], path.split("/")
+        for full, last in zip(accumulate(above, "{}/{}".format), above, strict=True):
+            new = {"fullpath": full, "ip": {}, "hierarchies": {}}
+            there["hierarchies"][last] = there = made.setdefault(full, new)
+        there["ip"][name] = block
+    return made

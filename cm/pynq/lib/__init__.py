@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from cm.pynq.alias import absent
 from cm.pynq.lib.axigpio import AxiGPIO as AxiGPIO
 from cm.pynq.lib.dma import DMA as DMA
 
-__getattr__ = absent("pynq.lib")
+__getattr__ = partial(absent, "pynq.lib")

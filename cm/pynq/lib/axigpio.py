@@ -9,7 +9,6 @@ from functools import partialmethod
 from cm.pynq.board import Interrupt
 from cm.pynq.overlay import DefaultIP, Description
 
-_IN, _OUT, _BOTH = "in", "out", "inout"
 _ENABLE, _GLOBAL = 0x128, 0x11C
 
 
@@ -58,7 +57,7 @@ class Channel:
 
     def __init__(self, parent: AxiGPIO, number: int) -> None:
         self._parent, self._number = parent, number
-        self.direction, self.length, self.written = _BOTH, 32, 0
+        self.direction, self.length, self.written = "inout", 32, 0
 
     def __getitem__(self, wires: int | slice) -> Wires:
         if not isinstance(wires, slice):
@@ -69,18 +68,18 @@ class Channel:
 
     def read(self) -> int:
         """All wires; of outputs what was written last."""
-        return self.written if self.direction == _OUT else self._parent.read(8 * self._number)
+        return self.written if self.direction == "out" else self._parent.read(8 * self._number)
 
     def write(self, val: int, mask: int) -> None:
         """Write the wires in `mask`. Raises RuntimeError of inputs."""
-        if self.direction == _IN:
+        if self.direction == "in":
             raise RuntimeError("You cannot write to an Input")
         self.written = (self.written & ~mask) | (val & mask)
         self._parent.write(8 * self._number, self.written)
 
     def turn(self, mask: int, inputs: bool) -> None:
         """Make the wires in `mask` inputs or outputs, in a channel of both directions."""
-        if self.direction == _BOTH:
+        if self.direction == "inout":
             self._parent.mmio.write_masked(8 * self._number + 4, mask * inputs, mask)
 
     def setlength(self, length: int) -> None:
@@ -89,7 +88,7 @@ class Channel:
 
     def setdirection(self, direction: str) -> None:
         """``"in"``, ``"out"`` or ``"inout"``, or AxiGPIO.Input and so on. The block's own direction is not written."""
-        if direction not in (_IN, _OUT, _BOTH):
+        if direction not in ("in", "out", "inout"):
             raise ValueError("direction should be one of AxiGPIO.{Input,Output,InOut}, or 'in', 'out' or 'inout'")
         self.direction = direction
 
@@ -107,7 +106,7 @@ class AxiGPIO(DefaultIP):
     """An AXI GPIO with `channel1` and `channel2`; an index takes wires of the first."""
 
     bindto = ("xilinx.com:ip:axi_gpio:2.0",)
-    Input, Output, InOut = _IN, _OUT, _BOTH
+    Input, Output, InOut = "in", "out", "inout"
 
     def __init__(self, description: Description) -> None:
         super().__init__(description)

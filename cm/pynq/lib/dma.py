@@ -3,17 +3,17 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Mapping
 from functools import cache
+from operator import index
 from typing import Any
 
+from cm.client.aio.waiting import Waits
 from cm.client.errors import ConnectionLost
 from cm.client.places import WHOLE
 from cm.client.writer import Transfers
 from cm.errors import CmError, Timeout
-from cm.pynq.board import board
-from cm.pynq.buffer import PynqBuffer
+from cm.pynq.board import PynqBuffer, board, buffer_at
 from cm.pynq.mmio import MMIO
 from cm.pynq.overlay import DefaultIP, Description
 
@@ -24,8 +24,7 @@ class _Channel:
     def __init__(self, stream: str) -> None:
         self._stream, self._failed = stream, ""
         self._begun: Transfers | None = None
-        self.running = True
-        self.address = 0  # of the last transfer's first byte, for the device
+        self.running, self.address = True, 0  # the latter of a transfer's first byte, for the device
 
     @property
     def idle(self) -> bool:
@@ -75,14 +74,8 @@ class _Channel:
 
     async def wait_async(self) -> None:
         """As `wait`, while other tasks run."""
-        loop, came = asyncio.get_running_loop(), asyncio.Event()
         while (begun := self._begun) is not None and not self._ended(0):
-            loop.add_reader(begun.fileno(), came.set)
-            try:
-                await came.wait()
-            finally:
-                loop.remove_reader(begun.fileno())
-            came.clear()
+            await Waits().readable(begun.fileno(), None)
         self.wait()
 
     def _ended(self, seconds: float | None) -> bool:
@@ -103,22 +96,39 @@ _channel = cache(_Channel)  # a stream is one client's alone: the overlays of a 
 
 
 class _Engine(MMIO):
-    """What the registers of the engine read as (PG021), by the transfers; the driver has the real ones."""
+    """The registers of the engine without scatter/gather (PG021), by the transfers; the driver has the real ones."""
 
     channels: Mapping[int, _Channel | None]
 
     def read(self, offset: int = 0, length: int = 4) -> int:  # noqa: ARG002 - a window's signature
-        """Control (run), status (halted, idle, error), address and length of a channel; 0 for the rest."""
+        """Control (run), status (halted, idle, error, done), address and length of a channel; 0 for the rest."""
         channel = self.channels.get(offset // 0x30 * 0x30)
         if channel is None:
             return 0
-        status = int(not channel.running) | channel.idle << 1 | channel.error << 4
+        status = int(not channel.running) | channel.idle * 0x1002 | channel.error << 4
         known = {0x00: int(channel.running), 0x04: status, 0x18: channel.address & WHOLE, 0x1C: channel.address >> 32}
         return {**known, 0x28: channel.transferred}.get(offset % 0x30, 0)
 
     def write(self, offset: int, data: Any) -> None:
-        """Not possible."""
-        raise NotImplementedError(f"a DMA's registers are the driver's ({offset:#x} = {data}): transfer, start, stop")
+        """Control (run or reset), address, and length, which begins the transfer of a buffer of `allocate`.
+
+        Raises NotImplementedError for others but status, NotFound for an address in no buffer, and as `transfer`.
+        """
+        channel, at, value = self.channels.get(offset // 0x30 * 0x30), offset % 0x30, index(data)
+        if channel is None or at not in (0x00, 0x04, 0x18, 0x1C, 0x28):
+            raise NotImplementedError(f"a DMA's other registers are the driver's ({offset:#x} = {data})")
+        if at == 0x00:
+            (channel.start if value & 5 == 1 else channel.stop)()
+        elif at == 0x18:
+            channel.address = channel.address >> 32 << 32 | value
+        elif at == 0x1C:
+            channel.address = channel.address & WHOLE | value << 32
+        elif at == 0x28:
+            channel.transfer(*buffer_at(channel.address), value or -1)  # 0 is no length in hardware
+
+    def write_masked(self, offset: int, value: int, mask: int) -> None:
+        """Write only the bits in `mask`."""
+        self.write(offset, self.read(offset) & ~mask | value)
 
 
 class DMA(DefaultIP):

@@ -48,6 +48,7 @@ FILTER = described(
     register("gain", 0x18),
     register("ISR", 0x20, register_field("DONE", 0, 1, MODIFIED_WRITE_VALUE="oneToClear")),
 )
+CONTROL = described(register("S2MM_DMACR", 0x30, register_field("RS", 0, 1), register_field("Reset", 2, 1)))
 BRAM = 0x42000000
 
 
@@ -67,7 +68,7 @@ def design() -> bytes:
             parameters={"PCW_FPGA_FCLK0_ENABLE": "1", "PCW_ACT_FPGA0_PERIPHERAL_FREQMHZ": "100.0"},
         ),
         module("filter", "filter", FILTER),
-        module("dma", "axi_dma", parameters={"C_INCLUDE_MM2S": "1", "C_INCLUDE_S2MM": "1"}),
+        module("dma", "axi_dma", CONTROL, parameters={"C_INCLUDE_MM2S": "1", "C_INCLUDE_S2MM": "1"}),
         module("gpio", "axi_gpio", ports(port("ip2intc_irpt", "O", ("ps", "IRQ_F2P"), kind="INTERRUPT"))),
         module("ram", "axi_bram_ctrl"),
     )
@@ -241,9 +242,29 @@ def test_a_transfer_there_and_back(overlay: pynq.Overlay) -> None:
         assert overlay.dma.recvchannel.transferred == 4000
         assert (result[100:1100] == source).all()
         there = result.physical_address + 400
-        assert (overlay.dma.mmio.read(0x48), overlay.dma.mmio.read(0x34)) == (there & 0xFFFFFFFF, 2)
-    with pytest.raises(NotImplementedError, match="a DMA's registers are the driver's"):
-        overlay.dma.write(0x28, 64)
+        assert (overlay.dma.mmio.read(0x48), overlay.dma.mmio.read(0x34)) == (there & 0xFFFFFFFF, 0x1002)
+
+
+def test_a_program_drives_a_dma_by_its_registers(overlay: pynq.Overlay) -> None:
+    dma, source, result = overlay.dma, pynq.allocate(64, "u1"), pynq.allocate(96, "u1")
+    source[:] = range(64)
+    for way, array in ((0x30, result[32:]), (0x00, source)):
+        dma.write(way, 4)
+        assert dma.read(way + 4) & 3 == 1
+        dma.write(way, 0x1001)
+        dma.write(way + 0x18, array.physical_address)
+        dma.write(way + 0x1C, array.physical_address >> 32)
+        dma.write(way + 0x28, 64)
+    until(lambda: dma.read(0x34) & dma.read(0x04) & 0x1000)
+    assert (dma.read(0x58), result.tolist()) == (64, [0] * 32 + source.tolist())
+    control = dma.register_map.S2MM_DMACR
+    control.Reset = 1
+    assert (control.Reset, control.RS, dma.recvchannel.running) == (0, 0, False)
+    control.RS = 1
+    dma.recvchannel.transfer(result)
+    dma.sendchannel.transfer(source)
+    dma.recvchannel.wait()
+    assert result[:64].tolist() == source.tolist()
 
 
 def test_what_comes_is_in_the_buffer_without_anybody_who_waits(overlay: pynq.Overlay) -> None:
@@ -311,6 +332,12 @@ def test_a_transfer_takes_bytes_of_its_buffer_alone(overlay: pynq.Overlay) -> No
         channel.transfer(buffer + 1)
     with pytest.raises(TypeError, match="arrays of allocate"):
         channel.transfer(np.zeros(4))
+    for address, length in ((buffer.physical_address, 0), (buffer.physical_address + 4, 256), (0x1000, 4)):
+        overlay.dma.write(0x18, address)
+        with pytest.raises((ValueError, NotFound), match=r"not in one piece|no buffer that this program"):
+            overlay.dma.write(0x28, length)
+    with pytest.raises(NotImplementedError, match="a DMA's other registers are the driver's"):
+        overlay.dma.write(0x08, buffer.physical_address)
 
 
 def test_a_packet_that_ends_early_says_how_much_came(overlay: pynq.Overlay) -> None:
