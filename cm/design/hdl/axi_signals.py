@@ -159,18 +159,21 @@ def plain_stream() -> Protocol:
     spelled = {
         "valid": "TVALID",
         "vld": "TVALID",
+        "pvld": "TVALID",
         "data": "TDATA",
         "dat": "TDATA",
+        "pd": "TDATA",
         "ack": "TREADY",
         "accept": "TREADY",
         "ready": "TREADY",
         "rdy": "TREADY",
+        "prdy": "TREADY",
         "src_rdy": "TVALID",  # LocalLink's, each side ready
         "dst_rdy": "TREADY",
     }
     spelled |= {"sof": "TUSER", "user": "TUSER", "eof": "TLAST", "last": "TLAST", "keep": "TKEEP"}
     halves = (frozenset({"TDATA", "TVALID"}),)
-    plain = replace(axis(), halves=halves, prefix=re.compile(".+"), distinct=False, glued=True)
+    plain = replace(axis(), halves=halves, prefix=re.compile(".*"), distinct=False, glued=True)
     return _with_spellings(plain, spelled)
 
 
@@ -190,10 +193,14 @@ def _hls_fifo(name: str, signals: list[tuple[str, PortDirection, str]]) -> Proto
 
 @cache
 def other_buses() -> tuple[Protocol, ...]:
-    """What shows a bus that is none of a region's, and is named for that: Wishbone B4, AMBA's APB and AHB, Avalon."""
+    """What shows a bus that is none of a region's, and is named for that: Wishbone B4, APB, AHB, Avalon, FIFOs."""
     handshake = make_protocol("a handshake", [*_marks("valid", _OUT), *_marks("ready", _IN)])
     spelled = dict.fromkeys(("valid", "vld", "val", "src_rdy"), "valid")
     spelled |= dict.fromkeys(("ready", "rdy", "accept", "dst_rdy"), "ready")
+    writes = dict.fromkeys(("wr_en", "wren", "wen", "write", "push"), "put") | dict.fromkeys(("full", "wfull"), "full")
+    reads = dict.fromkeys(("rd_en", "rden", "ren", "read", "pop"), "got") | dict.fromkeys(("empty", "rempty"), "empty")
+    sides = ((("put", "full"), writes), (("got", "empty"), reads))
+    fifos = ((make_protocol("a FIFO", [*_marks(a, _OUT), *_marks(b, _IN)]), named) for (a, b), named in sides)
     return (
         make_protocol("Wishbone", [*_marks("cyc stb", _OUT), *_marks("ack", _IN)]),
         make_protocol("Wishbone", _marks("cyc stb", _OUT)),
@@ -203,6 +210,7 @@ def other_buses() -> tuple[Protocol, ...]:
         make_protocol("Avalon-MM", [*_marks("address", _OUT), *_marks("waitrequest", _IN)]),
         make_protocol("Avalon-ST", _marks("startofpacket endofpacket", _OUT)),
         replace(_with_spellings(handshake, spelled), distinct=True),
+        *(_with_spellings(side, named) for side, named in fifos),
     )
 
 

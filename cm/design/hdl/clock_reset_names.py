@@ -30,7 +30,7 @@ _SHORT = {"w": "wr", "write": "wr", "r": "rd", "read": "rd", "pixel": "pix", "vi
 _NOT_CLOCK = _words(
     "en ena enable ce cen sel select div divider valid cnt count locked lock req ack ok stop stopped gate "
     "gated gating stopstate oe oeb good bad loss lost edge rise fall rate period freq frequency dis disable active "
-    "status mux phase src stall err error ovr override inh inhibit bypass polarity pol invert inv mode force test"
+    "status mux phase src stall err error ovr override inh inhibit bypass polarity pol invert inv mode force test index"
 )
 _SETTINGS = _words("cfg config conf csr")
 _ENABLES = frozenset(("en", "ena", "enable", "cen"))  # `ce` before clk is a name: ce_clk
@@ -58,7 +58,7 @@ _HANDLES = _words(
 # what comes of one, behind the word: its number, its state
 _OF_INTERRUPT = _words(
     "pending status state id num vector vec count cnt level valid ip code type cause prio priority edge polarity mode "
-    "data ready event events sent fail"
+    "data ready event events sent fail active"
 )
 _LINES = _words("mtip msip meip seip stip ssip xeip ipi")  # RISC-V's, which are also bits of registers
 _CAUSES = _words(  # before `int`, which is short for many things, in an input's name
@@ -99,7 +99,7 @@ def several(port: Port) -> str:
     """ "clocks" or "resets" for a vector of inputs whose name ends like one of these."""
     if port.direction is not PortDirection.IN or not port.width or port.width == 1:
         return ""
-    last = [word for word in words(port.name) if word not in _IO_WORDS | _LOW_WORDS][-1:]
+    last = [word for word in words(port.name) if word not in _IO_WORDS | _LOW_WORDS | {"p"}][-1:]
     if says_clock(port.name) and any(map(_CLOCK.fullmatch, last)):
         return "clocks"
     return "resets" if _says(port.name, _RESET, _NOT_RESET) and any(map(_RESET.fullmatch, last)) else ""

@@ -212,7 +212,7 @@ class _Detection:
         asked: dict[str, Candidate] = {}
         for found in [*map(self._with_data, candidates(self._unrejected(), stream))]:
             mode = judge(found.name, stream, found.ports).mode
-            if mode is None:
+            if mode is None or not found.name:
                 continue
             waits = "TREADY" in found.ports
             if not waits and found.name.lower() not in wanted:

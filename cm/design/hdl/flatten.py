@@ -25,6 +25,7 @@ def flatten(info: ModuleInfo, wanted: Sources) -> tuple[ModuleInfo, Flat | None]
     except HdlError as why:
         return replace(info, problems=(*info.problems, Problem(str(why), info.file, info.line, fatal=True))), None
     found = read(replace(wanted, top=flat.name, parameters={}), {Path(flat.file): flat.text}).modules[0]
-    problems = tuple(problem for problem in info.problems if not problem.fatal)
+    said = {problem.message: replace(problem, file=info.file, line=info.line) for problem in found.problems}
+    said |= {problem.message: problem for problem in info.problems if not problem.fatal}
     below = tuple(dict.fromkeys([*found.instantiates, *info.instantiates]))
-    return replace(found, file=info.file, line=info.line, problems=problems, instantiates=below), flat
+    return replace(found, file=info.file, line=info.line, problems=tuple(said.values()), instantiates=below), flat

@@ -132,7 +132,7 @@ def _candidate(group: list[_Named], bare: str | None, protocol: Protocol) -> Can
     spelled = first.prefix + first.tail
     bare = spelled if bare is None else bare
     one = len({(item.prefix, item.tail) for item in group}) == 1 and _INFIX.search(group[0].prefix)
-    name = spelled if one or spelled.lower() == bare.lower() else bare
+    name = spelled if one or not bare.strip("_") or spelled.lower() == bare.lower() else bare
     return Candidate(name.strip("_").replace("__", "_"), protocol, {item.signal: item.port for item in group})
 
 

@@ -59,7 +59,7 @@ _TESTED = re.compile(
     r"\bif\s*\(?\s*(\w+)\s*=\s*(?:'([01])'|(\w+))\s*\)?\s*then(.*?)(?:\belsif\b|\belse\b|\bend\b|\Z)", re.DOTALL
 )
 _XOR_VHDL = re.compile(r"(?m)^\s*(\w+)\s*<=\s*(\w+)\s+xor\s+(\w+)\s*;")
-_SAME = re.compile(r"(?m)^\s*(\w+)\s*<=\s*(not\s+)?(\w+)\s*;")
+_SAME = re.compile(r"(?m)^\s*(\w+)\s*<=\s*(not\s+)?(?:std_u?logic\s*\(\s*)?(\w+)\s*\)?\s*;")
 _MAPPED = re.compile(
     r":\s*(?:entity\s+\w+\.|component\s+)?(\w+)\s+(?:generic\s+map\b[^;]*?)?port\s+map\s*\(([^;]*)\)\s*;"
 )
@@ -141,6 +141,8 @@ def vhdl_body(text: str) -> Body:
             before = number == 0 and match.end() <= edges[0].start()  # later ones are inside what is reset
             around = match.start(4) <= edges[0].start() < match.end(4)  # what is reset stands behind `else`
             level = {"1": Polarity.HIGH, "0": Polarity.LOW}.get(match[2] or "")
+            if match[4].lstrip().startswith("assert"):  # it only says something
+                continue
             if before or (level and _SAYS_RESET.search(match[1])):
                 resets.append((match[1], _turned(level, around) if level else match[3], clock, before or around))
     copies = tuple((one, bool(turned), other) for one, turned, other in _SAME.findall(text))

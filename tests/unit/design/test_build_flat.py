@@ -173,6 +173,12 @@ def test_a_clock_of_an_interface_that_may_be_any_is_asked_for(tmp_path: Path, ca
     assert "the interface of s_axis has a port aclk, which may be any of wr_clk, rd_clk: give them one name" in said
 
 
+def test_the_clock_of_a_bus_of_a_wrapper_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    top = TOP.replace("input wire clk, ", "input wire wr_clk, input wire rd_clk, ").replace(" & ~rst & clk", "")
+    main(["build", "check", str(of_interfaces(tmp_path, top))])
+    assert "the clock of s_axis could not be determined: the clocks are wr_clk, rd_clk" in capsys.readouterr().out
+
+
 def test_interface_parameters_for_an_unknown_port_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     path = of_interfaces(tmp_path)
     path.write_text(path.read_text().replace("{s_axis:", "{s_axix:"))

@@ -79,6 +79,21 @@ def test_the_sides_of_a_fifo_are_asked_for(tmp_path: Path, capsys: pytest.Captur
     assert "side of a FIFO" not in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("named", "said"),
+    [
+        ("vld_i : in std_logic; dat_i : in bit_vector(3 downto 0)", "a stream without ready: streams: [i]"),
+        ("o_valid : out bit; i_ready : in bit; o_data : out bit_vector(3 downto 0)", "write streams: [o] in"),
+        ("a_pvld : in bit; a_prdy : out bit; a_pd : in bit_vector(3 downto 0)", "write streams: [a] in"),
+        ("wr_en_i : in bit; wr_data_i : in bit_vector(3 downto 0); wfull_o : out bit", "is like a FIFO"),
+        ("x_read : in bit; x_data : out bit_vector(3 downto 0); x_empty : out bit", "is like a FIFO"),
+    ],
+)
+def test_what_these_are_like_is_said(named: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    read(tmp_path, "", f"entity relay is port (clk, rst : in bit; {named}); end entity;")
+    assert said in " ".join(capsys.readouterr().out.split())
+
+
 PIXELS = """entity relay is
   port (
     clk, rst : in std_logic;

@@ -43,6 +43,7 @@ NAMED = [
     ("clk nrstin RstTxPauseRq", "clk nrstin-clk"),
     ("clk do_rst reset_na blk_reset_mon", "clk reset_na-clk"),
     ("clk aClkStopstate flash_clk_oeb cfg_clk90", "clk"),
+    ("clk2x clk2xIndex", "clk2x"),
     ("clka clkb rsta rstb", "clka clkb rsta+clka rstb+clkb"),
     ("clk first_bit burst_len gt_prbscntreset qpllreset", "clk qpllreset+clk"),
     ("gt0_qplloutrefclk spi_sclk rxusrclk2", "gt0_qplloutrefclk rxusrclk2"),
@@ -62,7 +63,8 @@ INTERRUPTS = {
     "asked": "dsc_irq_late side_irq_support_o sleep_int:i mtip_o pulse_ipi inta_o",
     "none": "RDY_interrupt "
     "trace_interrupt_ip interrupt_count_o irq_vector_valid cfg_irq_level cfg_interrupt_msi_sent clk_int_o "
-    "blowoff_int+blowoff_ext irq_events take_interrupt:i interrupt_inhibit_o irq_dsbl dat_int0:16 clr_int:8:i int_a:i",
+    "blowoff_int+blowoff_ext irq_events take_interrupt:i interrupt_inhibit_o irq_dsbl dat_int0:16 clr_int:8:i int_a:i "
+    "irqActive:i",
 }
 
 
@@ -86,6 +88,7 @@ PROCESSES = {
     "if iArst = cOn then q <= '0'; elsif rising_edge(clk) then q <= d; end if;": "clk iArst+clk",
     "if rst_n = '0' then if d = '1' then q <= '0'; else q <= '1'; end if; if d = '1' then q <= d; end if; "
     "elsif rising_edge(clk) then q <= d; end if;": "clk rst_n-clk",
+    "if rst = '0' then assert d = q report d; end if; if rising_edge(clk) then q <= d; end if;": "clk rst+clk",
     "if load_en = '1' then q <= '0'; elsif rising_edge(clk) then q <= d; end if;": "clk",
 }
 
@@ -103,6 +106,13 @@ def test_the_reset_of_a_serialiser_belongs_to_its_divided_clock(tmp_path: Path) 
     head = "module m(input fast_clk, input slow_clk, input rst, input d, output q);"
     text = f"{head} OUT_SERDES s(.CLK(fast_clk), .CLKDIV(slow_clk), .RST(rst), .D(d), .Q(q)); endmodule"
     assert told(module(tmp_path, text)) == "fast_clk slow_clk rst+slow_clk"
+
+
+def test_a_conversion_hides_no_reset(tmp_path: Path) -> None:
+    head = "entity e is port (clk, rst_i, d : in std_logic; q : out std_logic); end e; architecture a of e is"
+    body = "r <= std_ulogic(rst_i);\n p: process (clk, r) begin if r = '0' then q <= '0'; elsif rising_edge(clk) then"
+    text = f"{head} signal r : std_ulogic; begin\n {body} q <= d; end if; end process; end a;"
+    assert told(module(tmp_path, f"library ieee; use ieee.std_logic_1164.all; {text}", "e.vhd")) == "clk rst_i-clk"
 
 
 @pytest.mark.parametrize(
@@ -133,10 +143,12 @@ def test_an_output_at_the_interrupt_of_an_instance_is_asked_for(tmp_path: Path) 
 
 
 def test_a_reset_that_is_left_to_something_inside_and_several_in_a_vector_are_named(tmp_path: Path) -> None:
-    found = ports(tmp_path, "input clk; input rst_n; input ff_reset; input [3:0] fclk; input [1:0] lane_rstn")
+    several = "input [3:0] fclk; input [1:0] refClkP; input [1:0] lane_rstn"
+    found = ports(tmp_path, f"input clk; input rst_n; input ff_reset; {several}")
     reasons = {left.port: left.reason for left in found.leftovers}
     assert "resets: {ff_reset: {polarity: high}}" in reasons["ff_reset"]
     assert reasons["fclk"].startswith("is like 4 clocks")
+    assert reasons["refClkP"].startswith("is like 2 clocks")
     assert reasons["lane_rstn"].startswith("is like 2 resets")
 
 
