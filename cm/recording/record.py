@@ -91,6 +91,7 @@ class Record:
         self._lost: tuple[str, int, int, int] | None = None  # cause, since when, messages, bytes
         self._again = self._end = 0.0
         self._held = -1  # a descriptor of the folder, locked
+        self._ended: dict[Path, float] = {}  # when files of a ring did, CLOCK_MONOTONIC
         try:
             before = self._earlier()
             self._number = before[0]
@@ -253,10 +254,12 @@ class Record:
         limits = self._limits
         while limits.is_ring:
             (oldest, *others) = self.files
-            sizes = [path.stat() for path in (oldest, *others)]
-            total, ended = sum(found.st_size for found in sizes), sizes[0].st_mtime
+            total = sum(path.stat().st_size for path in (oldest, *others))
             much = limits.ring_bytes and total + limits.file_bytes > limits.ring_bytes
-            old = limits.ring_seconds and ended < time.time() - limits.ring_seconds
+            now, wall = time.monotonic(), time.time()
+            for path in (oldest, *others)[:-1]:  # known as soon as it has ended: the wall clock may be set later
+                self._ended.setdefault(path, now - max(0.0, wall - path.stat().st_mtime))
+            old = limits.ring_seconds and others and self._ended[oldest] < now - limits.ring_seconds
             if not others or not (much or old) or not self._remove_oldest(others[-1]):
                 return
 
@@ -265,4 +268,5 @@ class Record:
         if oldest == but:
             return False
         oldest.unlink(missing_ok=True)
+        self._ended.pop(oldest, None)
         return True

@@ -262,6 +262,22 @@ def test_a_ring_keeps_what_it_was_asked_for_and_goes_on_after_a_restart(tmp_path
     assert [gap.cause for gap in gaps(newest)] == ["recorder_ended"]
 
 
+@pytest.mark.parametrize("by", [86_400, -86_400], ids=["forward", "back"])
+def test_a_ring_keeps_its_time_though_the_clock_is_set(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, by: int
+) -> None:
+    clock, passed = time.monotonic, 0
+    monkeypatch.setattr(time, "monotonic", lambda: clock() + passed)
+    record = recorded(tmp_path / "ring", Limits(split_bytes=1, ring_seconds=60))
+    for passed in (0, 0, 61):
+        record.log(record.channel(IRQ), irq(1), 1)
+        there = [int(path.stem) for path in record.files]
+        assert there == ([3, 4] if passed else list(range(1, there[-1] + 1)))
+        for path in record.files:  # what was written before has stamps of the clock of then
+            os.utime(path, times=(time.time() - by,) * 2)
+    record.close()
+
+
 def test_a_ring_on_a_full_disk_gives_its_oldest_file_for_the_newest(
     tmp_path: Path, full_disk: dict[str, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
