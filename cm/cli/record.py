@@ -111,10 +111,11 @@ def run(args: argparse.Namespace) -> int:
 
     with connected() as board:
         _tell_unknown(board, wanted.streams)
-        name = f"{board.status.board}-{time.strftime('%Y%m%d-%H%M%S')}"
+        told = board.status
+    name = f"{told.board}-{time.strftime('%Y%m%d-%H%M%S')}"
     place = place or Path(name if limits.is_ring or args.ros2 else f"{name}.mcap")
     if args.ros2:
-        return _as_ros(connected, place, limits, wanted)
+        return _as_ros(connected, place, limits, wanted, told.board)
     recorder = Recorder(connected, place, limits, wanted, _tell)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: recorder.stop())
@@ -154,7 +155,7 @@ def _take_settings(args: argparse.Namespace) -> bool:
     return True
 
 
-def _as_ros(connected: Callable[..., Board], place: Path, limits: Limits, wanted: Wanted) -> int:
+def _as_ros(connected: Callable[..., Board], place: Path, limits: Limits, wanted: Wanted, name: str) -> int:
     """Record what the ROS 2 node would publish; the exit status."""
     import threading
 
@@ -165,8 +166,6 @@ def _as_ros(connected: Callable[..., Board], place: Path, limits: Limits, wanted
 
     if wanted.every != 1 or place.suffix == ".mcap":
         raise InvalidRequest("--ros2 writes whole frames, into a folder: its name does not end in .mcap")
-    with connected() as board:
-        name = board.status.board
     transport = RecordingTransport(place, name, limits, wanted.streams, _tell)
     commands = Commands(connected, frozenset())
     node = BoardNode(transport, NodeName(), commands)

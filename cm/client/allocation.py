@@ -59,10 +59,7 @@ class DeviceArray(np.ndarray[Any, np.dtype[Any]]):
         return self._memory and next(iter(self._memory.holds), None)
 
     def free(self) -> None:
-        """Free the memory, even if arrays in it are left: the device must not use it any more. Twice is fine.
-
-        A transfer that is under way ends first.
-        """
+        """Free the memory behind transfers under way, even if arrays in it are left: the device must not use it."""
         if self._memory is not None:
             self._memory.free()
 
@@ -173,8 +170,7 @@ def _array(
 ) -> DeviceArray:
     mapping = mappings.take(0)
     memory = _Memory(connection, mappings, length)
-    last = weakref.finalize(mapping, memory.holds.clear)  # every array in it refers to the mapping
-    last.atexit = False  # type: ignore[misc]
+    weakref.finalize(mapping, memory.holds.clear).atexit = False  # type: ignore[misc] # arrays in it refer to it
     array = DeviceArray(shape, dtype, mapping)
     memory.begin = array.__array_interface__["data"][0]
     array._memory = memory

@@ -13,6 +13,7 @@ from cm.frozen import dataclass, field
 from cm.recording.layout import STREAM_PREFIX
 from cm.recording.reader import Record
 from cm.recording.story import Story, stories
+from cm.recording.why import took
 from cm.wire.messages.status import PastChange, place
 
 _WIDTH, _LEFT, _RIGHT = 960, 132, 24
@@ -177,7 +178,7 @@ class _Picture:
             if not change.ended_ns or not self._inside(change):
                 continue
             x = self._x(change.ended_ns + self._what.offset)
-            how = f"failed: {change.error.message}" if change.error else f"done in {_ms(change)}"
+            how = f"failed: {change.error.message}" if change.error else f"done in {took(change)}"
             by = f", asked for by {change.by}" if change.by else ""
             said = f"change {change.number} to {place(change.config_name, change.mode)}{by}: {how}"
             kind, middle = ("badmark" if change.error else "mark"), top + _LANE / 2
@@ -275,7 +276,3 @@ def _style() -> str:
 
 def _clock(wall_ns: int, date: bool = False) -> str:
     return time.strftime("%Y-%m-%d %H:%M:%S" if date else "%H:%M:%S", time.localtime(wall_ns / 1e9))
-
-
-def _ms(change: PastChange) -> str:
-    return f"{(change.ended_ns - change.begun_ns) / 1e6:.3g} ms"

@@ -58,7 +58,7 @@ def _board(story: Story) -> Iterator[str]:
     if not status.config_name:
         yield f"{name} holds nothing that the manager has loaded."
     elif last is not None and (last.config_name, last.mode) == (status.config_name, status.mode):
-        yield f"{name} is in {held} since {_at(story, last.ended_ns)}: {_asked(last)}; it took {_took(last)}."
+        yield f"{name} is in {held} since {_at(story, last.ended_ns)}: {_asked(last)}; it took {took(last)}."
     else:
         yield f"{name} is in {held}; since when and why is {UNKNOWN}: it was so {_before(story)}."
     running = next((change for change in story.changes if not change.ended_ns), None)
@@ -258,7 +258,8 @@ def _step(step: StepTaken) -> str:
     return f"{step.kind} {step.subject}".rstrip() + (" of the way back" if step.back else "")
 
 
-def _took(change: PastChange) -> str:
+def took(change: PastChange) -> str:
+    """How long a change took, for a sentence."""
     return _ms((change.ended_ns - change.begun_ns) / 1e9)
 
 
@@ -274,7 +275,7 @@ def _clock(wall_ns: int) -> str:
 
 
 def _ms(seconds: float) -> str:
-    return f"{seconds:.1f} s" if seconds >= 10 else f"{1000 * seconds:.3g} ms"
+    return f"{seconds:.1f} s" if seconds >= 0.9995 else f"{1000 * seconds:.3g} ms"
 
 
 def _sentence(text: str) -> str:

@@ -5,13 +5,12 @@ from __future__ import annotations
 
 import hashlib
 import os
-import shutil
 import tempfile
 from collections.abc import Callable
 from pathlib import Path, PurePosixPath
 from typing import TypeAlias
 
-from cm.formats.importers.config_versions import KEEP, locked, put_in_force, roll_back, versions
+from cm.formats.importers.config_versions import KEEP, discard, locked, put_in_force, roll_back, versions
 from cm.formats.importers.result import ImportRefused
 from cm.formats.tar import BadTar, Limits, Member, TarStream
 from cm.frozen import dataclass
@@ -56,7 +55,7 @@ def unpack(archive: Path, out: Path, keep: int = KEEP, judge: Judge | None = Non
                 raise
             put_in_force(aside / name, out / name, keep)
         finally:
-            shutil.rmtree(aside, ignore_errors=True)
+            discard(aside)
         return Unpacked(_only(archive, out / name), out / name, files)
 
 

@@ -48,7 +48,7 @@ def locked(out: Path) -> Iterator[None]:
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX)
         for left in out.glob(".import-*"):
-            shutil.rmtree(left, ignore_errors=True)
+            discard(left)
         yield
     finally:
         os.close(descriptor)
@@ -66,14 +66,24 @@ def put_in_force(new: Path, place: Path, keep: int) -> None:
     new.chmod(0o755)
     sync(new)
     if place.exists():
+        new.with_name(f".new-{new.stat().st_ino}").touch()
         _exchange(new, place)
-        before = versions(place.parent, place.name)
-        new.rename(_numbered(place, before[0].number + 1 if before else 1))
+        discard(new.parent)
     else:
         new.rename(place)
     sync(place.parent)
     for old in versions(place.parent, place.name)[keep:]:
         shutil.rmtree(old.folder, ignore_errors=True)
+
+
+def discard(aside: Path) -> None:
+    """Remove an import's folder; if it had exchanged its new version by then, what lies there is an earlier one."""
+    for mark in aside.glob(".new-*"):
+        for folder in aside.glob("[!.]*"):
+            if mark.name != f".new-{folder.stat().st_ino}":
+                before = versions(aside.parent, folder.name)
+                folder.rename(aside.with_name(f".{folder.name}.{before[0].number + 1 if before else 1}"))
+    shutil.rmtree(aside, ignore_errors=True)
 
 
 def roll_back(place: Path, number: int | None = None) -> Version:
@@ -94,10 +104,6 @@ def roll_back(place: Path, number: int | None = None) -> Version:
         chosen.folder.rename(place)
     sync(place.parent)
     return chosen
-
-
-def _numbered(place: Path, number: int) -> Path:
-    return place.with_name(f".{place.name}.{number}")
 
 
 def _exchange(one: Path, other: Path) -> None:

@@ -242,6 +242,7 @@ def test_killed_at_any_step_the_old_one_or_the_new_one_is_in_force(tmp_path: Pat
         seen.add(now)
         imported(tmp_path / str(step), b"newest")
         assert note(out) == b"newest"
+        assert {(kept.folder / "notes.txt").read_bytes() for kept in versions(out, "vision")} >= {b"older", b"old", now}
         if not died:
             break
     else:

@@ -402,14 +402,10 @@ def test_a_buffer_that_is_freed_during_a_transfer_goes_at_its_end(
     dma.recvchannel.transfer(result)
     result.freebuffer()
     dma.sendchannel.transfer(source)
-    if ends == "wait":
-        dma.sendchannel.wait()
-        dma.recvchannel.wait()
-        assert result.tolist() == [4] * 64
-    else:
-        for channel in (dma.sendchannel, dma.recvchannel):
-            channel.stop()
-            channel.start()
+    for channel in (dma.sendchannel, dma.recvchannel):
+        getattr(channel, ends)()
+        channel.start()
+    assert ends == "stop" or result.tolist() == [4] * 64
     assert until(lambda: both[1].control.state()["memory"] <= before)
 
 

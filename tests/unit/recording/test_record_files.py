@@ -263,9 +263,7 @@ def test_a_ring_keeps_what_it_was_asked_for_and_goes_on_after_a_restart(tmp_path
 
 
 @pytest.mark.parametrize("by", [86_400, -86_400], ids=["forward", "back"])
-def test_a_ring_keeps_its_time_though_the_clock_is_set(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, by: int
-) -> None:
+def test_a_ring_lasts_though_the_clock_is_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, by: int) -> None:
     clock, passed = time.monotonic, 0
     monkeypatch.setattr(time, "monotonic", lambda: clock() + passed)
     record = recorded(tmp_path / "ring", Limits(split_bytes=1, ring_seconds=60))

@@ -11,6 +11,7 @@ from manager_schemas import written
 from manager_support import Rig, rig
 
 from cm.errors import NotFound
+from cm.frozen import replace
 from cm.recording.story import Story, of_manager
 from cm.recording.why import explain, fault
 from cm.schema.model import Config
@@ -62,6 +63,9 @@ def test_a_region_is_explained_by_the_change_that_loaded_it_and_by_what_came_aft
     ):  # fmt: skip
         assert part in line
     assert "too early" not in line
+    for ms, said in ((400, "400 ms"), (999.6, "1.0 s"), (2040, "2.0 s")):  # without exponents
+        (line, *_) = explain(story(changes=(replace(EDGE, ended_ns=10 * S + round(ms * 1e6)),)))
+        assert f"; it took {said}." in line
 
 
 def test_a_region_that_was_unloaded_is_explained_by_the_change_that_did_it() -> None:
