@@ -381,6 +381,7 @@ def test_any_buffers_of_the_program_are_transferred_and_those_of_another_are_not
             dma.recvchannel.transfer(result)
             dma.sendchannel.transfer(source)
             dma.recvchannel.wait()
+            dma.sendchannel.wait()
             assert result[:64].tolist() == source.tolist()
             source.freebuffer()
     gone = pynq.allocate(64, "u1")
@@ -460,6 +461,7 @@ def test_a_channel_goes_on_after_the_overlay_was_loaded_again(overlay: pynq.Over
             dma.recvchannel.transfer(result)
             dma.sendchannel.transfer(source)
             dma.recvchannel.wait()
+            dma.sendchannel.wait()
             assert result.tolist() == source.tolist()
         again.download()
 
