@@ -36,9 +36,10 @@ def wrapper(implementation: Implementation) -> Netlist:
     absent = _absent_slaves(region, adaptation)
     skipped = {port for interface in absent for port in interface.ports.values()}
     pins: dict[str, str | None] = {}
+    offsets = _offset_bits(region)
     for connection in adaptation.connections:
         if connection.boundary not in skipped:
-            _connect(net, connection, pins)
+            _connect(net, connection, pins, offsets)
     for interface in absent:
         _refuse(net, region, interface)
     net.instance(module.top, "inner", pins, _parameters(module), f"{module.name}")
@@ -66,7 +67,17 @@ def _literal(value: object) -> str:
     return str(value)
 
 
-def _connect(net: Netlist, connection: Connection, pins: dict[str, str | None]) -> None:
+def _offset_bits(region: RegionPlan) -> dict[str, int]:
+    """How many bits of each address say where in the slave's window: where a region's window is, no module knows."""
+    return {
+        bus.interface.ports[name]: (bus.window.size - 1).bit_length()
+        for bus in region.registers
+        for name in ("AWADDR", "ARADDR")
+        if name in bus.interface.ports
+    }
+
+
+def _connect(net: Netlist, connection: Connection, pins: dict[str, str | None], offsets: dict[str, int]) -> None:
     fit, have, want = connection.fit, connection.module_width, connection.boundary_width
     if not connection.module:  # a boundary port that the module does not have
         if connection.direction is OUT:
@@ -79,7 +90,7 @@ def _connect(net: Netlist, connection: Connection, pins: dict[str, str | None]) 
         tied = (ones if connection.value else zeros)(have) if fit is Fit.TIE else None
         pins[connection.module] = tied
     elif connection.direction is IN:
-        _connect_input(net, connection, pins)
+        _connect_input(net, connection, pins, offsets)
     elif connection.direction is OUT and have != want:
         wire = net.wire(f"module_{connection.module}", have)
         pins[connection.module] = wire
@@ -93,12 +104,13 @@ def _connect(net: Netlist, connection: Connection, pins: dict[str, str | None]) 
         pins[connection.module] = connection.boundary
 
 
-def _connect_input(net: Netlist, connection: Connection, pins: dict[str, str | None]) -> None:
+def _connect_input(net: Netlist, connection: Connection, pins: dict[str, str | None], offsets: dict[str, int]) -> None:
     have, want = connection.module_width, connection.boundary_width
-    source = low_bits(connection.boundary, want, have)
+    read = min(have, want, offsets.get(connection.boundary, want))
+    source = low_bits(low_bits(connection.boundary, want, read), read, have)
     pins[connection.module] = f"~{source}" if connection.fit is Fit.INVERT else source
-    if want > have:
-        net.unused.append(f"{connection.boundary}[{want - 1}:{have}]")
+    if want > read:
+        net.unused.append(f"{connection.boundary}[{want - 1}:{read}]")
 
 
 def _absent_slaves(region: RegionPlan, adaptation: Adaptation) -> list[Interface]:
