@@ -284,7 +284,8 @@ def _as_hls_does(info: RegisterInfo) -> RegisterInfo:
 
 def _accesses(info: RegisterInfo, left: dict[str, list[str]]) -> Iterator[RegisterInfo]:
     """The accesses that a register takes, each as one: ``name_0`` has its lowest bits."""
-    part = info.widest or (info.size if info.size <= 64 else 32)
+    longest = 64 if info.offset % 8 == 0 else 32  # none crosses what a bus transfers at once
+    part = info.widest or min(info.size, longest)
     if info.size <= part:
         yield info
         return

@@ -93,21 +93,26 @@ def _bust_field(one: Mapping[str, Any], lsb: int) -> RegisterField:
 
 
 def _litex(said: Mapping[str, Any], module: str, notes: list[str]) -> Iterator[Item]:
-    """The registers of a bank `module`, or of all, at addresses from its base, or the lowest.
+    """The registers of a bank `module`, at addresses from its base, or of all, from that of the window of all banks.
 
-    Source: `get_csr_json` of LiteX. One that is wider than a bus word is several, of which `_0` has the lowest bits.
+    Source: `get_csr_json` of LiteX, and its EventManager, whose `pending` is cleared by ones though it is "rw". One
+    that is wider than a bus word is several, of which `_0` has the lowest bits.
     """
     bases, constants = said["csr_bases"], said["constants"]
-    base = bases[module] if module in bases else min(bases.values())
+    whole = said.get("memories", {}).get("csr", {}).get("base", min(bases.values()))
+    base = bases.get(module, whole)
     step, width = constants.get("config_csr_alignment", 32) // 8, constants.get("config_csr_data_width", 32)
     prefix = f"{module}_" if module in bases else ""
     for name, one in said["csr_registers"].items():
         if not name.startswith(prefix):
             continue
         words, access = one["size"], "read-only" if one["type"] == "ro" else ""
+        manager, _, last = name.rpartition("_")
+        clears = last == "pending" and {f"{manager}_status", f"{manager}_enable"} <= said["csr_registers"].keys()
         for number in range(words):
             part = name.removeprefix(prefix) + (f"_{words - 1 - number}" if words > 1 else "")
-            yield RegisterInfo(part, one["addr"] - base + number * step, width, access, widest=width)
+            does = (RegisterField("pending", 0, width, write="oneToClear"),) if clears else ()
+            yield RegisterInfo(part, one["addr"] - base + number * step, width, access, fields=does, widest=width)
         if words > 1:
             notes.append(
                 f"{name}: {words} words, the highest first, as LiteX' own accessors have it whatever its order"

@@ -213,7 +213,8 @@ def test_what_a_register_map_cannot_carry_is_said_by_check(tmp_path: Path, capsy
     assert "one.rdl: an access changes it, nobody says how: reg0.gain" in capsys.readouterr().out
 
 
-LITEX = """{"csr_bases": {"ctrl": 4026531840, "timer": 4026533888}, "memories": {},
+LITEX = """{"csr_bases": {"ctrl": 4026531840, "timer": 4026533888},
+ "memories": {"csr": {"base": 4026531840, "size": 65536, "type": "io"}},
  "constants": {"config_csr_data_width": 32, "config_csr_alignment": 32},
  "csr_registers": {"ctrl_reset": {"addr": 4026531840, "size": 1, "type": "rw"},
   "timer_load": {"addr": 4026533888, "size": 1, "type": "rw"},
@@ -241,7 +242,9 @@ def test_what_peakrdl_exports_as_ip_xact_is_read_as_the_systemrdl_itself(standar
         "addrmap m { reg { field { sw=rw; hw=r; } gain[7:0] = 16; field { sw=rw; hw=w; woclr; } seen[8:8] = 0;"
         " field { sw=r; hw=w; rclr; } done[9:9] = 0; } status @ 0; reg { field { sw=rw; hw=r; } v[31:0] = 0; } tap[3];"
         " regfile { reg { field { sw=rw; hw=r; } g[7:0] = 1; } a; reg { field { sw=w; hw=r; } g[7:0] = 2; } b;"
-        " } ch[2]; };"
+        " } ch[2];"
+        " reg { regwidth=64; accesswidth=32; default sw=rw; default hw=r;"
+        " field {} low[31:0] = 1; field {} high[63:32] = 2; } wide @ 0x24; };"
     )
     compiler = RDLCompiler()
     compiler.compile_file(str(tmp_path / "m.rdl"))
