@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
+import itertools
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from cm.frozen import replace
 from cm.manager.history import History
@@ -39,6 +40,7 @@ from cm.wire.messages.status import (
 if TYPE_CHECKING:
     from cm.manager.interfaces import Observer
 
+_T = TypeVar("_T")
 _UNKNOWN = RegionState()  # of which nothing is known
 
 
@@ -283,12 +285,26 @@ def _mode(config: Config, name: str) -> ModeInfo:
 
 
 def _registers(config: Config) -> tuple[RegisterInfo, ...]:
-    found: dict[str, tuple[Register, list[str]]] = {}
+    return tuple(register_info(r, modes) for r, modes in _with_modes(config, config.visible_registers))
+
+
+def _with_modes(config: Config, visible: Callable[[str], Mapping[str, _T]]) -> Iterator[tuple[_T, tuple[str, ...]]]:
+    """What is visible, with its modes, none where all have it; modules may have different things of the same name."""
+    found: dict[str, list[tuple[_T, list[str]]]] = {}
     for mode in config.modes:
-        for name, register in config.visible_registers(mode).items():
-            found.setdefault(name, (register, []))[1].append(mode)
-    all_modes = len(config.modes)
-    return tuple(register_info(r, () if len(modes) == all_modes else tuple(modes)) for r, modes in found.values())
+        for name, thing in visible(mode).items():
+            known = found.setdefault(name, [])
+            modes = next((modes for told, modes in known if told is thing or _plain(told) == _plain(thing)), None)
+            if modes is None:
+                known.append((thing, modes := []))
+            modes.append(mode)
+    for thing, modes in itertools.chain.from_iterable(found.values()):
+        yield thing, () if len(modes) == len(config.modes) else tuple(modes)
+
+
+def _plain(thing: object) -> object:
+    """A register whatever a mode's default for it."""
+    return replace(thing, default=None) if isinstance(thing, Register) else thing
 
 
 def register_info(r: Register, modes: tuple[str, ...] = ()) -> RegisterInfo:
@@ -314,11 +330,7 @@ def register_info(r: Register, modes: tuple[str, ...] = ()) -> RegisterInfo:
 
 
 def _memories(config: Config) -> tuple[MemoryInfo, ...]:
-    found: dict[str, tuple[Memory, list[str]]] = {}
-    for mode in config.modes:
-        for name, memory in config.visible_memories(mode).items():
-            found.setdefault(name, (memory, []))[1].append(mode)
-    return tuple(memory_info(m, () if len(modes) == len(config.modes) else tuple(modes)) for m, modes in found.values())
+    return tuple(memory_info(m, modes) for m, modes in _with_modes(config, config.visible_memories))
 
 
 def memory_info(m: Memory, modes: tuple[str, ...] = (), defined: bool = False) -> MemoryInfo:

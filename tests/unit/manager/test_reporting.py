@@ -115,6 +115,19 @@ def test_a_configuration_is_described_whole() -> None:
     assert memory_info(LAB.memories["taps"], defined=True).defined
 
 
+def test_things_of_one_name_in_two_modules_are_described_each_with_its_modes() -> None:
+    config = loads("""
+config:
+  name: lab
+  modules:
+    a: {mmio: [{base_address: 0x1000, registers: {gain: {offset: 0}, on: {offset: 4}}}]}
+    b: {mmio: [{base_address: 0x1000, registers: {gain: {offset: 8, default: 1}, on: {offset: 4, default: 1}}}]}
+  modes: {one: {modules: [a]}, two: {modules: [b]}, three: {modules: [b]}}
+""")
+    told = [(r.name, r.address, r.modes) for r in config_info(config, "two", {}, "", {}).registers]
+    assert told == [("gain", 0x1000, ("one",)), ("gain", 0x1008, ("two", "three")), ("on", 0x1004, ())]
+
+
 def test_all_configurations_are_listed_by_name_with_their_modes() -> None:
     plain = loads("config: {name: plain, modes: {only: {}}}\n")
     entries = ConfigEntry("lab", "full", ("one", "two"), "two"), ConfigEntry("plain", "partial", ("only",), "only")
