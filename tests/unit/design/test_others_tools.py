@@ -19,9 +19,9 @@ from build_support import MINIMAL, needs, project
 from cm.cli.main import main
 from cm.design.generate.generation import generate, load_design, output_folder
 from cm.design.hdl.register_maps import read_register_map
-from cm.formats.bitstream import FrameAddress, FrameRun, assemble
+from cm.formats.bitstream import Expectation, FrameAddress, FrameRun, assemble
 from cm.manager.errors import BadOverlay
-from cm.server.bitstream_and_overlay_files import BitstreamReader, checked_overlay, image_of
+from cm.server.bitstream_and_overlay_files import BitstreamReader, checked_overlay
 
 pytestmark = pytest.mark.design
 SCRIPTS = Path(sysconfig.get_path("scripts"))
@@ -43,7 +43,7 @@ def test_a_bin_of_bootgen_is_the_same_image_as_its_bit(arch: str, part: str, tmp
     (tmp_path / "all.bif").write_text("all:\n{\n\tdesign.bit\n}\n")
     run(tmp_path, "bootgen", "-arch", arch, "-image", "all.bif", "-process_bitstream", "bin", "-w", "on")
     reader = BitstreamReader()
-    image = image_of(tmp_path / "design.bit", reader.inspect(tmp_path / "design.bit"))
+    image = reader.image(tmp_path / "design.bit", Expectation())
     assert reader.configures_as(tmp_path / "design.bit.bin", image)
     assert reader.has_words_of(tmp_path / "design.bit.bin", image) == (arch == "zynqmp")
 
