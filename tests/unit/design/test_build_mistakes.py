@@ -57,7 +57,7 @@ def changed(*pairs: tuple[str, str]) -> str:
     ("old", "new", "sentence"),
     [
         ("xc7z020clg400-1", "xc7a35tcsg324-1", "1:24: project.part: xc7a35tcsg324-1 is not part of the Zynq-7000"),
-        ("xc7z020clg400-1", "xc7z020", "1:24: project.part: 'xc7z020' does not fit (Full part, e.g. xc7z020clg400-1; "),
+        ("xc7z020clg400-1", "xc7z020", "1:24: project.part: 'xc7z020' does not fit (Full part, e.g. xc7z020clg400-1. "),
         (
             "400-1}",
             "400-1, board: zcu104}",
@@ -67,11 +67,11 @@ def changed(*pairs: tuple[str, str]) -> str:
         (
             "400-1}",
             "400-1, board: 'a:b'}",
-            "1:47: project.board: 'a:b' does not fit (A board of the library (pynq",
+            "1:47: project.board: 'a:b' does not fit (A board of the library, e.g. pynq",
         ),
         (", part: xc7z020clg400-1", "", "1:1: project: part is missing (or name a board of the library)"),
         ("pblock: auto", "pblock: 'proven:x'", "6:5: regions.prr0.pblock[0]: there is no pblock of the board 'x'"),
-        ("400-1}", "400-1, vivado: latest}", "1:47: project.vivado: 'latest' does not fit (Version to insist on"),
+        ("400-1}", "400-1, vivado: latest}", "1:47: project.vivado: 'latest' does not fit (The only version of Vivado to accept"),
         ("100_000_000", "250_000_000", "3:11: clocks.fclk0.rate: the ICAP runs on fclk0 at 250000000 Hz; zynq7000 all"),
         (
             "pblock: auto",
