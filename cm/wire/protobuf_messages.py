@@ -123,15 +123,18 @@ class _PrMode:
         return cls._all[number] if 0 <= number < len(cls._all) else st.PrMode.ERROR
 
 
+_WRITTEN: dict[str, Any] = {"PrMode": _PrMode, "tuple[str, int]": _NamedValue}  # by annotation: no message is theirs
+
+
 def _parts(kind: type) -> dict[str, Any]:
     """How those fields of a class are written that are data themselves, by what its annotations say."""
-    found: dict[str, Any] = {"pr_mode": _PrMode} if kind is st.Status else {}
+    found: dict[str, Any] = {}
     for name, hint in kind.__annotations__.items():
         one = str(hint).removeprefix("tuple[").removesuffix(", ...]").removesuffix(" | None")
-        if one in _proto.__all__ and name not in found:
+        if one in _WRITTEN:
+            found[name] = _WRITTEN[one]
+        elif one in _proto.__all__:
             found[name] = twin(getattr(_proto, one))
-        elif one == "tuple[str, int]":
-            found[name] = _NamedValue
     return found
 
 
@@ -153,13 +156,14 @@ ERROR: Twin[st.ErrorInfo, Any] = twin(st.ErrorInfo)
 
 _LASTING = ("configs", "streams", "sensors", "clocks", "version", "started_ns", "board")
 _SELDOM = ("regions", "clients", "windows", "changes", "writes")
+_OF_STATUS = _parts(st.Status)
 
 
 class _KeptPart:
     """Some fields of a status, encoded; kept as long as what is in them stays."""
 
     def __init__(self, *names: str) -> None:
-        self._twin = Twin(st.Status, pb.Status, names, **_parts(st.Status))
+        self._twin = Twin(st.Status, pb.Status, names, **_OF_STATUS)
         self._last: tuple[Any, bytes] = (None, b"")
 
     def encoded(self, status: st.Status) -> bytes:
@@ -178,11 +182,10 @@ class _StatusTwin(Twin[st.Status, pb.Status]):
     """
 
     def __init__(self) -> None:
-        parts = _parts(st.Status)
-        super().__init__(st.Status, pb.Status, **parts)
+        super().__init__(st.Status, pb.Status, **_OF_STATUS)
         self._lasting, self._seldom = _KeptPart(*_LASTING), _KeptPart(*_SELDOM)
         passing = [name for name in st.Status.__annotations__ if name not in _LASTING + _SELDOM]
-        self._passing = Twin(st.Status, pb.Status, passing, **parts)
+        self._passing = Twin(st.Status, pb.Status, passing, **_OF_STATUS)
 
     def encoded(self, status: st.Status) -> bytes:
         """The bytes of the message."""
