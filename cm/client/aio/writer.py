@@ -16,7 +16,7 @@ from cm.client.aio.waiting import Waits
 from cm.client.core.flow_effects import DEFAULT, Deadline, Limit, seconds, time_limit
 from cm.client.errors import BoardClosed
 from cm.errors import InvalidRequest, Timeout
-from cm.wire.plane_packets import Descriptor, Geometry, Open, Purpose
+from cm.wire.plane_packets import Descriptor, Geometry, Open
 
 if TYPE_CHECKING:
     from cm.client.aio.request_reply import Caller
@@ -36,10 +36,9 @@ class AsyncWriter:
         self._waits = Waits()
 
     async def __aenter__(self) -> AsyncWriter:
-        from cm.client.writer import Transfers, Writer  # imported here: only Linux has such sockets
+        kind = self._kind()
 
         def opened() -> None:
-            kind = Transfers if self._wanted.purpose is Purpose.TRANSFER else Writer
             writer = self._writer = kind(self._folder, self._wanted, self._timeout)
             if self._ended is not None:  # an end() from here on finds the writer
                 writer.end(self._ended)
@@ -47,6 +46,13 @@ class AsyncWriter:
 
         await asyncio.get_running_loop().run_in_executor(None, opened)
         return self
+
+    @staticmethod
+    def _kind() -> type[Writer]:
+        """What does the work, in a thread while it opens."""
+        from cm.client.writer import Writer  # imported here: only Linux has such sockets
+
+        return Writer
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None
@@ -131,6 +137,12 @@ class AsyncWriter:
 
 class AsyncTransfers(AsyncWriter):
     """Transfers of one's own memory; see `Transfers`. Entered with ``async with``."""
+
+    @staticmethod
+    def _kind() -> type[Writer]:
+        from cm.client.writer import Transfers
+
+        return Transfers
 
     async def begin(self, array: DeviceArray, start: int = 0, nbytes: int = 0, timeout: Limit = DEFAULT) -> None:
         """Begin to transfer `nbytes` (0: the rest) of an array of `Board.allocate`, from byte `start` on.
