@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cm.cli.common import add_connection_options, add_json_option, answer, naming, write_whole
+from cm.cli.common import add_connection_options, add_json_option, answer, write_whole
 from cm.errors import InvalidRequest, NotInstalled
 from cm.extras import installing
 from cm.manager.errors import hint
@@ -197,8 +197,7 @@ def repair(args: argparse.Namespace) -> int:
             raise
         raise NotInstalled(f"cm record repair needs mcap: {installing('record')}") from None
     target = args.out or args.file.with_name(f"{args.file.stem}-repaired.mcap")
-    with naming(target):
-        found = repaired(args.file, target)
+    found = repaired(args.file, target)
     lines = [f"{args.file}: {text}" for text in found.lost]
     if found.orphans:
         lines.append(f"{args.file}: {found.orphans} messages are whole, but what they mean is lost")

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import cycle
@@ -13,6 +12,7 @@ from cm.frozen import dataclass, field
 from cm.recording.layout import STREAM_PREFIX
 from cm.recording.reader import Record
 from cm.recording.story import Story, stories
+from cm.recording.times import clock_time
 from cm.recording.why import took
 from cm.wire.messages.status import PastChange, place
 
@@ -116,7 +116,7 @@ class _Picture:
         body += self._gaps(62, top)
         body += self._axis(top)
         height = top + 40
-        title = f"{what.board or 'Board'} from {_clock(what.since, date=True)} to {_clock(what.until)}"
+        title = f"{what.board or 'Board'} from {clock_time(what.since, date=True)} to {clock_time(what.until)}"
         yield (
             f'<svg xmlns="http://www.w3.org/2000/svg" role="img" width="{_WIDTH}" height="{height}" '
             f'viewBox="0 0 {_WIDTH} {height}" font-family="sans-serif" font-size="12">'
@@ -160,7 +160,7 @@ class _Picture:
             kind = (
                 f"m{self._classes[module]}" if state == "ready" and module else "bad" if state == "failed" else "none"
             )
-            said = f"{module or 'no module'} ({state}) from {_clock(at)} to {_clock(end)}"
+            said = f"{module or 'no module'} ({state}) from {clock_time(at)} to {clock_time(end)}"
             yield (
                 f'<rect class="{kind}" x="{left}" y="{top}" width="{round(right - left, 1)}" height="{_LANE}" rx="2">'
                 f"<title>{escape(said)}</title></rect>"
@@ -239,7 +239,7 @@ class _Picture:
         for at in _ticks(self._what.since, self._what.until):
             x = self._x(at)
             yield f'<line class="rule" x1="{x}" x2="{x}" y1="{top}" y2="{top + 5}"/>'
-            yield f'<text class="dim" x="{x}" y="{top + 20}" text-anchor="middle">{_clock(at)}</text>'
+            yield f'<text class="dim" x="{x}" y="{top + 20}" text-anchor="middle">{clock_time(at)}</text>'
 
 
 def _ticks(since: int, until: int) -> Iterable[int]:
@@ -272,7 +272,3 @@ def _style() -> str:
         return "".join(lines)
 
     return f"{rules(_INKS, _FILLS)}@media (prefers-color-scheme:dark){{{rules(_DARK, _FILLS_DARK)}}}"
-
-
-def _clock(wall_ns: int, date: bool = False) -> str:
-    return time.strftime("%Y-%m-%d %H:%M:%S" if date else "%H:%M:%S", time.localtime(wall_ns / 1e9))

@@ -254,11 +254,12 @@ class Record:
         limits = self._limits
         while limits.is_ring:
             (oldest, *others) = self.files
-            total = sum(path.stat().st_size for path in (oldest, *others))
+            found = {path: path.stat() for path in (oldest, *others)}
+            total = sum(status.st_size for status in found.values())
             much = limits.ring_bytes and total + limits.file_bytes > limits.ring_bytes
             now, wall = time.monotonic(), time.time()
             for path in (oldest, *others)[:-1]:  # known as soon as it has ended: the wall clock may be set later
-                self._ended.setdefault(path, now - max(0.0, wall - path.stat().st_mtime))
+                self._ended.setdefault(path, now - max(0.0, wall - found[path].st_mtime))
             old = limits.ring_seconds and others and self._ended[oldest] < now - limits.ring_seconds
             if not others or not (much or old) or not self._remove_oldest(others[-1]):
                 return

@@ -37,7 +37,7 @@ def repair(source: Path, target: Path) -> Repaired:
             found = _Copy(source, stream).run()
         beside.rename(target)
     except OSError as error:
-        if error.filename == str(beside):  # nobody has named that one
+        if error.filename in (None, str(beside)):  # nobody has named that one; a full disk names none
             error.filename, error.filename2 = str(target), None
         raise
     finally:

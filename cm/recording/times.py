@@ -45,15 +45,19 @@ def until(events: Iterable[Event], opened: Opened, text: str) -> Iterator[Event]
         if not began:
             began = last
             if end < began - _CLOCK:  # a ring may have lost what it began with
-                raise InvalidRequest(f"{text!r} is before the record, which begins at {_told(began, opened)}")
+                raise InvalidRequest(f"{text!r} is before the record, which begins at {_in_record(began, opened)}")
             end = max(end, began + _STATE)
         if last > end:
             return
         yield event
     if end > last + _CLOCK:
-        raise InvalidRequest(f"{text!r} is after the record, which ends at {_told(last, opened)}")
+        raise InvalidRequest(f"{text!r} is after the record, which ends at {_in_record(last, opened)}")
 
 
-def _told(time_ns: int, opened: Opened) -> str:
-    at = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(time_ns / 1e9))
-    return f"{at} (+{(time_ns - opened.started_ns) / 1e9:.1f})"
+def clock_time(wall_ns: int, date: bool = False) -> str:
+    """The time of day of this machine, with the date if that is wanted."""
+    return time.strftime("%Y-%m-%d %H:%M:%S" if date else "%H:%M:%S", time.localtime(wall_ns / 1e9))
+
+
+def _in_record(time_ns: int, opened: Opened) -> str:
+    return f"{clock_time(time_ns, date=True)} (+{(time_ns - opened.started_ns) / 1e9:.1f})"

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 from cm.errors import NotFound
 from cm.recording.story import Story
+from cm.recording.times import clock_time
 from cm.wire.messages.status import NOTICES, PastChange, PastWrite, RegionStatus, StepTaken, StreamStatus, place
 
 _LOADS = ("load", "repair")
@@ -269,9 +270,7 @@ def _at(story: Story, monotonic_ns: int) -> str:
 
 def _clock(wall_ns: int) -> str:
     """The time of day of this machine; where it is another day, with the date."""
-    then = time.localtime(wall_ns / 1e9)
-    form = "%H:%M:%S" if then[:3] == time.localtime()[:3] else "%Y-%m-%d %H:%M:%S"
-    return time.strftime(form, then)
+    return clock_time(wall_ns, date=time.localtime(wall_ns / 1e9)[:3] != time.localtime()[:3])
 
 
 def _ms(seconds: float) -> str:
