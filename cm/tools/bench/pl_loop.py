@@ -18,19 +18,20 @@ from cm.tools.bench.rounds import Batch, timed
 from cm.tools.bench.run import Run
 from cm.tools.bench.serving import PATIENCE, Served, serve, settle
 
-# One slot each way, as in the C program: with back-pressure none are kept in reserve for the hardware. No interrupt,
-# because the baselines, too, only notify the other end.
-SCHEMA = """
+LOOP = """
 config:
   name: loop
   type: partial
   device: xc7z020
   regions:
-    prr0: {{decoupler: {{base_address: 0x1000, offset: 0x0, bit: 0}}}}
+    prr0: {decoupler: {base_address: 0x1000, offset: 0x0, bit: 0}}
   modules:
-    loopback: {{region: prr0, model: default}}
+    loopback: {region: prr0, model: default}
   modes:
-    loopback: {{modules: [loopback]}}
+    loopback: {modules: [loopback]}"""
+# One slot each way, as in the C program: with back-pressure none are kept in reserve for the hardware. No interrupt,
+# because the baselines, too, only notify the other end.
+STREAMS = """
   streams:
     to_pl: {{direction: mm2s, region: prr0, shape: [{shape}], slots: 1}}
     from_pl: {{direction: s2mm, region: prr0, shape: [{shape}], slots: 1, backpressure: true}}
@@ -86,7 +87,7 @@ def looped_over_tcp(bench: Run, size: int) -> Iterator[Batch]:
 def serving(bench: Run, size: int, *arguments: str, picture: bool = False) -> AbstractContextManager[Served]:
     """A manager in the loop's only mode; frames are of one axis, or a `picture` of one row."""
     schema = bench.place("l") / "loop.yaml"
-    schema.write_text(SCHEMA.format(shape=f"1, {size}" if picture else size), encoding="utf-8")
+    schema.write_text(LOOP + STREAMS.format(shape=f"1, {size}" if picture else size), encoding="utf-8")
     return serve(bench, "--config", str(schema), "--load", "loop/loopback", *arguments)
 
 

@@ -20,9 +20,9 @@ HALTED, IDLE, INTERNAL, DECODE, DONE = 1, 2, 0x10, 0x40, 0x1000
 @pytest.fixture(scope="module")
 def board() -> Iterator[cm.Board]:
     with short_folder() as folder:
-        (folder / "engine.yaml").write_text(SCHEMA)
-        with served(schemas=folder / "engine.yaml") as (manager, _), manager.connected() as found:
-            found.load("engine")
+        (folder / "loop.yaml").write_text(SCHEMA)
+        with served(schemas=folder / "loop.yaml") as (manager, _), manager.connected() as found:
+            found.load("loop")
             yield found
 
 

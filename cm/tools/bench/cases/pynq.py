@@ -14,7 +14,7 @@ from cm.device import Uio
 from cm.errors import CmError
 from cm.simulation.software import Board as SimulatedBoard
 from cm.tools.bench.machine import unpinned
-from cm.tools.bench.pl_loop import WrongFrame
+from cm.tools.bench.pl_loop import LOOP, WrongFrame
 from cm.tools.bench.result import Goal, Result
 from cm.tools.bench.rounds import Batch, interleave, timed
 from cm.tools.bench.run import Run
@@ -25,17 +25,7 @@ WRITES = 6  # of registers, in a trip of PYNQ's
 BASE = 0x40400000
 # An engine without scatter/gather, as most overlays have. Its registers are a driver's on a board; here a memory lays
 # them open, so that both drive the same engine.
-SCHEMA = f"""
-config:
-  name: engine
-  type: partial
-  device: xc7z020
-  regions:
-    prr0: {{decoupler: {{base_address: 0x1000, offset: 0x0, bit: 0}}}}
-  modules:
-    loopback: {{region: prr0, model: default}}
-  modes:
-    loopback: {{modules: [loopback]}}
+SCHEMA = f"""{LOOP}
   memories:
     dma_registers: {{base_address: {BASE}, size: 0x1000}}
   streams:
@@ -96,11 +86,11 @@ def run(bench: Run) -> list[Result]:
     """Measure `pynq_transfer`."""
     with ExitStack() as stack:
         stack.enter_context(unpinned(set(bench.cpus)))
-        schema = bench.place("p") / "engine.yaml"
+        schema = bench.place("p") / "loop.yaml"
         schema.write_text(SCHEMA, encoding="utf-8")
         simple = [f"--simple-dma={name}:26" for name in ("dma_mm2s", "dma_s2mm")]
         simulated = stack.enter_context(SimulatedBoard([schema], arguments=simple))
-        places = ("--config", str(schema), "--root", str(simulated.root), "--load", "engine/loopback")
+        places = ("--config", str(schema), "--root", str(simulated.root), "--load", "loop/loopback")
         board = stack.enter_context(stack.enter_context(serve(bench, *places, sim=False)).connect())
         settle(board)
         arrays = board.allocate(SIZE), board.allocate(SIZE)
