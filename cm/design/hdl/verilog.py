@@ -208,7 +208,7 @@ class VerilogReader:
         modules: list[ModuleInfo] = []
         for trees, some in self._groups({name: owners[name][0].path.parent for name in wanted}):
             compilation = self._compile(some, given, trees)
-            found = () if self._nested(compilation) else self._semantic(compilation, below)
+            found = self._semantic(compilation, below)
             for instance in compilation.getRoot().topInstances:
                 tree, inside = owners[instance.name]
                 errors = (*tree.errors, *found)
@@ -249,7 +249,8 @@ class VerilogReader:
         """Errors in these files that stop synthesis, once for each place."""
         problems: dict[Problem, None] = {}
         names = {path.resolve(): str(path) for path in paths}
-        for diagnostic in compilation.getSemanticDiagnostics() if names else ():
+        checked = bool(names) and not self._nested(compilation)
+        for diagnostic in compilation.getSemanticDiagnostics() if checked else ():
             number = _SEMANTIC.get(str(diagnostic.code))
             if number is None:
                 continue
